@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
+import re
+import shlex
 import subprocess
 import sys
 from pathlib import Path
 
+import click
 import pytest
+from click.testing import CliRunner
 
+from planner_bridge.cli.commands import app
 from tests.support.e2e.command_line import pnm, result
 from tests.support.files import ROOT
 from tests.support.processes import LIMIT
 
 DELIVERY = (str(ROOT / "domains/delivery/domain.pddl"), str(ROOT / "problems/delivery/p01.pddl"))
-PATROL = (str(ROOT / "domains/patrol/domain.pddl"), str(ROOT / "problems/patrol/p01.pddl"))
 PNM = (sys.executable, "-m", "planner_bridge")
 
 
@@ -87,11 +91,43 @@ def test_without_ros_a_command_that_needs_it_has_its_help_and_says_what_to_insta
     assert ("`pip install 'petri-net-machines[ros2]'`" in done.stderr) == bool(status)
 
 
-def test_what_is_exported_is_imported_again(tmp_path: Path) -> None:
-    assert pnm("export", *PATROL, "-o", str(tmp_path / "x.yaml"), "--with-plan").returncode == 0
-    done = pnm("import", str(tmp_path / "x.yaml"), "-o", str(tmp_path / "new"))
-    written = "".join(f"wrote {tmp_path / 'new' / name}\n" for name in ("domain.pddl", "problem.pddl", "bindings.yaml"))
-    assert (done.returncode, done.stdout, done.stderr) == (0, "", written)
-    again = pnm("export", *(str(tmp_path / "new" / name) for name in ("domain.pddl", "problem.pddl")), "--with-plan")
-    assert again.stdout == (tmp_path / "x.yaml").read_text(encoding="utf-8")
-    assert "\nplan:\n  - move: {robot: r1, from: dock1, to: gate}\n" in again.stdout
+# --- help ---
+
+
+CONTEXT = click.Context(app, info_name="pnm")
+COMMANDS = {name: command for name in app.list_commands(CONTEXT) if (command := app.get_command(CONTEXT, name))}
+
+
+def shown(*arguments: str) -> str:
+    done = CliRunner().invoke(app, arguments, prog_name="pnm")
+    assert done.exit_code == 0
+    return done.output
+
+
+def test_no_description_is_cut_off() -> None:
+    lines = shown("--help").partition("Commands:\n")[2].splitlines()
+    assert [line.split()[0] for line in lines] == [*COMMANDS]
+    for line in lines:
+        description = line.split(maxsplit=1)[1]
+        assert description.endswith(".")
+        assert not description.endswith("...")
+        assert len(description) <= 50, line
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_every_help_has_an_example_whose_words_the_command_takes(name: str) -> None:
+    text = " ".join(shown("help", name).split())
+    assert text == " ".join(shown(name, "--help").split())
+    examples = text.partition("Example")[2].lstrip("s: ").split("; ")
+    for example in examples:
+        program, command, *arguments = shlex.split(example)
+        assert (program, command) == ("pnm", name)
+        COMMANDS[name].make_context(name, arguments, resilient_parsing=False)
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_the_limit_of_the_planner_has_one_name(name: str) -> None:
+    options = {option for parameter in COMMANDS[name].params for option in parameter.opts}
+    assert "--timeout" not in options
+    assert ("--planner-timeout" in options) is ("--planner" in options)
+    assert all(re.fullmatch(r"-[a-z]|--[a-z-]+|[a-z_]+", option) for option in options)

@@ -73,18 +73,6 @@ def test_a_predicate_may_be_called_preference() -> None:
     assert str(domain.actions["a"].precondition) == "(preference ?x)"
 
 
-ONE_OF_EACH = (
-    "(always (idle)) (sometime (busy)) (within 5 (idle)) (at-most-once (busy)) (sometime-after (idle) (busy))"
-    " (sometime-before (busy) (idle)) (always-within 2.5 (idle) (busy)) (hold-during 3 5 (idle)) (hold-after 4 (busy)) (at end (idle))"
-)
-
-
-def test_constraints_of_every_kind() -> None:
-    assert " ".join(map(str, domain_with(f"(:constraints (and {ONE_OF_EACH}))").constraints)) == ONE_OF_EACH
-    problem = problem_with(f"(:goal ()) (:constraints (and {ONE_OF_EACH.replace('at end', 'AT end')}))")
-    assert (" ".join(map(str, problem.constraints)), problem.preferences) == (ONE_OF_EACH, ())
-
-
 @pytest.mark.parametrize("text", ["", "(:constraints)", "(:constraints ())", "(:constraints (and))"])
 def test_there_may_be_no_constraints(text: str) -> None:
     assert problem_with(f"(:goal ()) {text}").constraints == ()

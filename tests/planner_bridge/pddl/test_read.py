@@ -1,4 +1,4 @@
-"""What is read from PDDL: declarations, actions, problems. Conditions, effects and the like are compared as their texts."""
+"""What is read from PDDL: declarations, actions, problems. Conditions and effects are compared as texts, where those differ."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from planner_bridge.pddl.expressions import MAX_DEPTH
 from planner_bridge.pddl.writer import write_domain
 from pnm.core.logic.conditions import TRUE
 from pnm.core.logic.domain import ActionSchema, Declaration
-from pnm.core.logic.effects import OPERATIONS, TimedChange, is_early
+from pnm.core.logic.effects import TimedChange, is_early
 from pnm.core.logic.expressions import Arithmetic, ValueOf, Variable
 from pnm.errors import InputError
 from tests.support.pddl.text import EXTENDED, SMALL
@@ -72,17 +72,12 @@ def test_functions_may_have_objects_for_values() -> None:
 CONDITIONS = [
     ("(and (idle))", "(idle)"),
     ("(and (idle) (and (idle) (idle)))", "(and (idle) (idle) (idle))"),
-    ("(or)", "(or)"),
     ("(imply (idle) ())", "(imply (idle) (and))"),
-    ("(exists (?l - room) (at ?r ?l))", "(exists (?l - room) (at ?r ?l))"),
     ("(and (at ?r hall) (exists (?R - robot) (at ?r hall)))", "(and (at ?r hall) (exists (?R - robot) (at ?R hall)))"),
-    ("(= ?l hall)", "(= ?l hall)"),
     ("(= total-cost 3)", "(= (total-cost) 3)"),
     ("(>= (charge ?r) -.5e1)", "(>= (charge ?r) -5)"),
-    ("(< (+ 1 2 (charge ?r)) (- (* 2 3 4) (/ 1 (- 2))))", "(< (+ 1 2 (charge ?r)) (- (* 2 3 4) (/ 1 (- 2))))"),
     # functions stand for objects
     ("(= hall (HOME ?r))", "(= hall (home ?r))"),
-    ("(= (home ?r) (owner ?l))", "(= (home ?r) (owner ?l))"),
     ("(not (dirty (home ?r)))", "(not (exists (?home - room) (and (= (home ?r) ?home) (dirty ?home))))"),
     ("(linked (home ?r) (home ?r))", "(exists (?home - room) (and (= (home ?r) ?home) (linked ?home ?home)))"),
     ("(> (+ 1 (area (home ?r))) 3)", "(exists (?home - room) (and (= (home ?r) ?home) (> (+ 1 (area ?home)) 3)))"),
@@ -105,12 +100,7 @@ def test_conditions(text: str, condition: str) -> None:
 
 EFFECTS = [
     ("(and (idle) (and (not (idle))))", "(idle) (not (idle))"),
-    ("(when (idle) (and (not (idle)) (idle)))", "(when (idle) (and (not (idle)) (idle)))"),
-    ("(forall (?l - room) (not (at ?r ?l)))", "(forall (?l - room) (not (at ?r ?l)))"),
-    *((f"({name} (charge ?r) 2)", f"({name} (charge ?r) 2)") for name in OPERATIONS),
     # functions stand for objects
-    ("(assign (home ?r) (place ?r))", "(assign (home ?r) (place ?r))"),
-    ("(assign (home ?r) undefined)", "(assign (home ?r) undefined)"),
     ("(not (dirty (home ?r)))", "(forall (?home - room) (when (= (home ?r) ?home) (not (dirty ?home))))"),
     (
         "(assign (home (owner ?l)) (place (owner ?l)))",

@@ -6,7 +6,6 @@ import asyncio
 from collections.abc import Callable
 from math import inf, nan
 from pathlib import Path
-from typing import Any
 from uuid import UUID
 
 import pytest
@@ -14,7 +13,6 @@ import pytest
 from planner_bridge.pddl import parse_domain, parse_problem
 from planner_bridge.pipeline.achieve import achieve
 from planner_bridge.pipeline.carry_out import carry_out
-from planner_bridge.pipeline.loading import load
 from planner_bridge.planning.solve import solve
 from planner_bridge.tasks.control import Watchdog
 from planner_bridge.tasks.replanning import Limits
@@ -104,6 +102,8 @@ def test_an_action_client_carries_out_a_hand_written_plan(tmp_path: Path) -> Non
     robot = Robot()
     assert carry_out(tmp_path / "p.yaml", actions=robot).goal_reached
     assert robot.sent == ["go(a)", "go(a)", "go(b)"]
+    with pytest.raises(InputError, match="expected actions 'simulated', 'ros2' or an ActionClient, found 'ros'; did you mean 'ros2'"):
+        carry_out(tmp_path / "p.yaml", actions="ros")
 
 
 @pytest.mark.parametrize("other", ["{}", "{duration: 3}", "{duration: 0.5}"])
@@ -122,24 +122,6 @@ def test_a_rehearsal_jumps_over_years_in_which_nothing_happens(tmp_path: Path, m
     assert len(looks) < 500
 
 
-@pytest.mark.parametrize(
-    "run", [lambda actions, _: achieve(None, ring(), actions=actions), lambda actions, file: carry_out(file, actions=actions)]
-)
-@pytest.mark.parametrize(
-    ("actions", "message"),
-    [
-        ("ros", "expected actions 'simulated', 'ros2' or an ActionClient, found 'ros'; did you mean 'ros2'?"),
-        (None, "expected actions 'simulated', 'ros2' or an ActionClient, found None"),
-        (Robot, f"expected actions 'simulated', 'ros2' or an ActionClient, found {Robot}"),
-    ],
-)
-def test_what_performs_no_actions_is_refused(tmp_path: Path, run: Callable[[Any, Path], object], actions: Any, message: str) -> None:
-    (tmp_path / "p.yaml").write_text(TWO_STEPS)
-    with pytest.raises(InputError) as error:
-        run(actions, tmp_path / "p.yaml")
-    assert str(error.value) == message
-
-
 def test_what_would_be_ignored_is_refused() -> None:
     robot = Robot()
     with pytest.raises(InputError, match="faults belong to simulated robots"):
@@ -147,24 +129,6 @@ def test_what_would_be_ignored_is_refused() -> None:
     with pytest.raises(InputError, match="sensing is about topics and services of ROS 2"):
         achieve(None, ring(), settings=Settings(sensing=Sensing(stale=1.0)))
     assert robot.sent == []
-
-
-@pytest.mark.parametrize(
-    ("wrong", "message"),
-    [
-        ({"settings": {"planner": "kairos"}}, "achieve: expected Settings for settings, found {'planner': 'kairos'}"),
-        ({"observer": print}, "achieve: expected TaskObserver for observer, found <built-in function print>"),
-        ({"faults": "faults.yaml"}, "achieve: expected Faults for faults, found 'faults.yaml'"),
-        (
-            {"settings": Settings(bindings=Bindings({"moev": Binding()}))},
-            "there is no action 'moev' in the domain, but the bindings name it; did you mean 'move'?",
-        ),
-    ],
-)
-def test_what_is_of_another_kind_is_refused(wrong: dict[str, Any], message: str) -> None:
-    with pytest.raises(InputError) as error:
-        achieve(None, ring(), **wrong)
-    assert str(error.value) == message
 
 
 @pytest.mark.parametrize(
@@ -179,7 +143,11 @@ def test_what_is_of_another_kind_is_refused(wrong: dict[str, Any], message: str)
         (lambda: Binding("/move", retries=1.5), "the binding of /move: expected a whole number from 0 for retries, found 1.5"),
         (lambda: Bindings({"move": {"server": "/move"}}), "bindings: expected Binding for move, found {'server': '/move'}"),
         (lambda: solve(ring(), timeout=inf), "the search for a plan waits for inf seconds; expected a finite number from 0"),
-        (lambda: load("d.pddl", None), "expected a file, a Problem or a Problem of unified-planning for problem, found None"),
+        (lambda: achieve(None, ring(), actions=Robot), f"expected actions 'simulated', 'ros2' or an ActionClient, found {Robot}"),
+        (
+            lambda: achieve(None, ring(), settings=Settings(bindings=Bindings({"moev": Binding()}))),
+            "there is no action 'moev' in the domain, but the bindings name it; did you mean 'move'?",
+        ),
     ],
 )
 def test_values_that_would_be_ignored_or_misunderstood_are_refused(make: Callable[[], object], message: str) -> None:
@@ -190,11 +158,6 @@ def test_values_that_would_be_ignored_or_misunderstood_are_refused(make: Callabl
 
 def test_a_limit_that_the_clock_of_the_planner_cannot_count_is_no_time_out() -> None:
     assert solve(ring(), timeout=1e300).plan
-
-
-def test_the_name_of_a_file_is_no_bindings() -> None:
-    with pytest.raises(InputError, match=r"expected Bindings, found 'b\.yaml'; `pnm\.read_bindings` reads a file"):
-        Settings(bindings="b.yaml")  # type: ignore[arg-type]
 
 
 def test_bindings_beside_the_domain_are_read_as_the_command_reads_them(tmp_path: Path) -> None:

@@ -12,7 +12,6 @@ from planner_bridge.model.world import simulated_backend
 from planner_bridge.pddl import write_domain, write_problem
 from planner_bridge.pipeline.achieve import achieve_at
 from planner_bridge.pipeline.loading import load
-from planner_bridge.planning.solve import solve
 from planner_bridge.tasks.settings import Settings, TaskObserver
 from pnm.clock import run_async
 from pnm.core.logic.conditions import evaluate
@@ -57,17 +56,6 @@ def test_what_cannot_be_understood_is_refused_with_its_position(name: str) -> No
     assert str(refusal.value) == f"{FOLDER / name}/{REFUSED[name]}"
 
 
-QUICKER: Final = {"delivery_w4_m3_g2": 54.1, "delivery_w4_m4_g3": 115.1, "delivery_w6_m3_g3": 99.1}
-"""Seconds of plans that another way of searching finds at once, and Kairos' own not within half a minute."""
-
-
-@present("name", QUICKER)
-def test_better_plans_are_looked_for_in_several_ways(name: str) -> None:
-    result = solve(load(*pair(name)), improve=10.0)
-    assert result.plan is not None
-    assert result.plan.makespan <= QUICKER[name]
-
-
 # --- what is written means the same to the planner ------------------------------------------
 
 ALL: Final = sorted(path.parent for path in FOLDER.parent.glob("*/*/domain.pddl"))
@@ -95,16 +83,6 @@ def test_a_written_problem_has_the_same_plan(folder: Path) -> None:
     problem = load(folder / "domain.pddl", folder / "problem.pddl")
     written = read_by_kairos(write_domain(problem.domain), write_problem(problem))
     assert verdict(written) == verdict(read_by_kairos(*texts(folder)))
-
-
-@present("folder", [pytest.param(folder, id=folder.name) for folder in ALL])
-def test_what_the_planner_reads_we_read(folder: Path) -> None:
-    try:
-        read_by_kairos(*texts(folder))
-    except kairos.PddlError:
-        assert folder.name in UNREADABLE
-    else:
-        load(folder / "domain.pddl", folder / "problem.pddl")
 
 
 JUSTIFIED: Final = {

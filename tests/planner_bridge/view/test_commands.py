@@ -64,8 +64,8 @@ def url_in(program: Program) -> str:
     return program.until(lambda: next((line.split()[1] for line in program.err if line.startswith("view ")), ""))
 
 
-def test_a_journal_is_shown_until_ctrl_c_ends_it_also_while_a_browser_watches(delivery: Path) -> None:
-    program = Program(["-m", "planner_bridge", "replay", str(delivery), "--view=0"], {})
+def test_a_journal_is_shown_until_ctrl_c_ends_it_also_while_a_browser_watches(delivery: Path, tmp_path: Path) -> None:
+    program = Program(["-m", "planner_bridge", "replay", str(delivery), "--view=0"], {"TMPDIR": str(tmp_path)})
     try:
         stream = Stream(url_in(program))
         assert stream.next()[1]["is_whole"]
@@ -74,6 +74,7 @@ def test_a_journal_is_shown_until_ctrl_c_ends_it_also_while_a_browser_watches(de
         with pytest.raises(EOFError):
             stream.next()
         stream.close()
+        assert not list(tmp_path.glob("pnm-view-*"))
     finally:
         program.close()
 

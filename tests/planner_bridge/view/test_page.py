@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import signal
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -16,8 +15,6 @@ from pnm.journal.records import Happened
 from tests.support.e2e.page.browser import browser
 from tests.support.e2e.page.journals import GrowingJournal, steps
 from tests.support.e2e.page.serving import page_of
-from tests.support.files import ROOT
-from tests.support.processes import Program
 
 FAILING = "move(r1, hall, kitchen)"
 
@@ -75,7 +72,7 @@ def test_calls_light_up_as_the_journal_grows(page: Page, delivery: Path, growing
             shows(page, record)
             expect_states(page, growing.place, record)
         expect(page.locator(".task")).to_contain_text("goal reached")
-        page.close()
+    expect(page.locator("#status")).to_contain_text("not connected")
 
 
 def test_a_failure_can_be_read_and_what_followed(page: Page, delivery: Path) -> None:
@@ -187,20 +184,3 @@ def test_a_call_opens_by_keys_and_says_why_it_is_there(page: Page, delivery: Pat
             page.locator(f"#picture [data-state={state}]").first.click()
             expect(page.locator("#net")).to_contain_text(said)
         page.close()
-
-
-def test_a_run_shows_itself_and_the_page_stays_until_it_is_ended(page: Page, tmp_path: Path) -> None:
-    files = ["domains/delivery/domain.pddl", "problems/delivery/p01.pddl", "--faults", "problems/delivery/faults.yaml"]
-    run = Program(["-m", "planner_bridge", "run", *files, "--view=0"], {"TMPDIR": str(tmp_path)}, cwd=ROOT)
-    try:
-        url = run.until(lambda: next((line.split()[1] for line in run.err if line.startswith("view ")), ""))
-        page.goto(url)
-        expect(page.locator(".task")).to_contain_text("goal reached")
-        expect(page.locator("#cuts li")).to_have_count(2)
-        run.until(lambda: any("stays until Ctrl-C" in line for line in run.err))
-        run.process.send_signal(signal.SIGINT)
-        assert run.ended() == 0
-        expect(page.locator("#status")).to_contain_text("not connected")
-        assert not list(tmp_path.glob("pnm-view-*"))
-    finally:
-        run.close()

@@ -1,4 +1,4 @@
-"""The view: what is shown of a run that fails, goes on, and is planned anew."""
+"""The view and its story: what is shown of a run that fails, goes on, and is planned anew; and what a state alone does not say."""
 
 from __future__ import annotations
 
@@ -8,13 +8,18 @@ from uuid import UUID
 
 import pytest
 
+from planner_bridge.pipeline.carry_out import carry_out
 from planner_bridge.view.follow import Reader
-from planner_bridge.view.story import Thing, View, detail, view_of
+from planner_bridge.view.story import Story, Thing, View, detail, timelines, view_of
 from pnm.core.execution.events import Begin
-from pnm.core.machine.requests import Ended
-from pnm.journal.records import Happened, RunMade, TaskAccepted, TaskOver
+from pnm.core.logic.expressions import UNKNOWN
+from pnm.core.machine.requests import Ended, OutcomeKind
+from pnm.journal.records import WORLD, Happened, KnowledgeBegan, KnowledgeDelta, RunMade, SharedBegan, TaskAccepted, TaskNoted, TaskOver
 from pnm.journal.replay import ReplayStep
+from pnm.knowledge.people import HelpAsked, HelpEnded
+from pnm.tasks import Wanted
 from tests.support.e2e.page.journals import steps
+from tests.support.files import written
 
 FAILING = "move(r1, hall, kitchen)"
 
@@ -78,17 +83,6 @@ def test_a_failure_is_told_with_what_was_expected_and_seen_and_what_followed(rea
     assert next(iter(at(reader, records[-1]).troubles)) == f"{first.number}.0", "what happened keeps its name"
 
 
-def test_a_replan_says_why_and_what_becomes_of_the_calls_that_were_left(last: View) -> None:
-    (task,) = last.tasks.values()
-    first, second, third = (last.runs[id]["replan"] for id in task["runs"])
-    assert first is None
-    assert "still works" in second["why"]
-    assert (second["kept"], second["dropped"], second["added"]) == ((FAILING, "unload(r1, parcel2, kitchen)"), (), ())
-    assert f"not again: {FAILING}" in third["why"]
-    assert third["dropped"] == (FAILING,)
-    assert "pass_door(r1, door1, corridor, kitchen)" in third["added"]
-
-
 def test_attempts_facts_and_servers_are_those_of_the_records(last: View) -> None:
     failing = [request for request in last.requests.values() if request["action"] == FAILING]
     assert [(request["attempt"], request["sent"], request["ended"], request["outcome"]) for request in failing][:2] == [
@@ -141,3 +135,63 @@ def test_a_call_tells_what_it_waits_for_its_conditions_and_where_its_token_is(re
     assert moving["resources"] == []
     for run, index in ((UUID(moving["run"]), 99), (UUID(int=0), 0)):
         assert reader.at(first.number, lambda story, run=run, index=index: detail(story, run, index)) is None  # type: ignore[misc]
+
+
+# --- the story ---
+
+
+AT = ("at", "r1", "hall")
+
+
+def story_of(*records: object) -> Story:
+    """A story of the world, and of records that follow one second after the other."""
+    story = Story()
+    for number, record in enumerate((SharedBegan({}), KnowledgeBegan(WORLD, {AT: True}, sensed={"at": 0.5}), *records), 1):
+        story.apply(number, float(number), record)
+    return story
+
+
+def test_what_is_not_reported_any_more_says_what_it_was() -> None:
+    stale = story_of(KnowledgeDelta(WORLD, {AT: UNKNOWN})).facts["(at r1 hall)"]
+    assert (stale["value"], stale["was"], stale["source"], stale["since"]) == ("unknown", "true", "sensed", 3.0)
+    still = story_of(KnowledgeDelta(WORLD, {AT: UNKNOWN}), KnowledgeDelta(WORLD, {AT: UNKNOWN})).facts["(at r1 hall)"]
+    assert (still["value"], still["was"]) == ("unknown", "true")
+    again = story_of(KnowledgeDelta(WORLD, {AT: UNKNOWN}), KnowledgeDelta(WORLD, {AT: False})).facts["(at r1 hall)"]
+    assert (again["value"], again["was"]) == ("false", "")
+
+
+def test_the_clock_is_known_from_a_task_on() -> None:
+    assert story_of().clock is None
+    accepted = TaskAccepted(Wanted(UUID(int=1), "(at r1 hall)"), 1, 1000.0)
+    assert story_of(accepted).clock == 997.0
+    assert view_of(story_of(accepted)).clock == 997.0
+
+
+def test_questions_about_lost_requests_stand_beside_those_how_to_go_on() -> None:
+    task, one, other = UUID(int=1), UUID(int=8), UUID(int=9)
+    records = [
+        TaskAccepted(Wanted(task, "(at r1 hall)"), 1, 1000.0),
+        TaskNoted(task, HelpAsked(one, "Was it carried out?", ("yes", "no"), one)),
+        TaskNoted(task, HelpAsked(other, "How does it go on?")),
+        TaskNoted(task, HelpEnded("a person says so", one)),
+        TaskNoted(task, HelpEnded("a person says that it is to be tried again")),
+    ]
+    asked = [{name: question["choices"] for name, question in story_of(*records[:count]).questions.items()} for count in range(2, 6)]
+    assert asked[1] == {one.hex: ("yes", "no"), other.hex: ("try again", "give up")}
+    assert asked[0] == {one.hex: ("yes", "no")}
+    assert asked[2:] == [{other.hex: ("try again", "give up")}, {}]
+
+
+# --- timelines ---
+
+
+def test_a_plan_by_hand_has_lanes_by_what_its_actions_have_for_themselves(tmp_path: Path) -> None:
+    plan = written(
+        tmp_path / "plan.yaml",
+        "actions:\n  say: {params: [text], resources: [voice]}\n  point: {params: [place], resources: [r1/arm]}\n"
+        "plan:\n  - say: {text: Hello you}\n  - point: {place: hall}\n",
+    )
+    assert carry_out(plan, journal=tmp_path / "j").goal_reached
+    (timeline,) = timelines(tmp_path / "j")
+    assert [(call.name, call.lane) for call in timeline.plans[0].calls] == [("say(Hello you)", "voice"), ("point(hall)", "r1")]
+    assert all(attempt.outcome is OutcomeKind.SUCCEEDED for call in timeline.plans[0].calls for attempt in call.attempts)

@@ -7,10 +7,7 @@ from typing import Final
 
 from planner_bridge.model.problem import Domain, Problem
 from planner_bridge.pddl import parse_domain, parse_problem, write_domain, write_problem
-from pnm.core.logic.conditions import Holds
 from pnm.core.logic.domain import ActionSchema
-from pnm.core.logic.effects import Set
-from pnm.core.logic.expressions import Constant, ValueOf
 
 
 @dataclass(frozen=True)
@@ -72,11 +69,6 @@ EXTENDED: Final = Texts(
     duration=":duration () ",
 )
 """More of everything, for what PDDL has beyond facts and numbers."""
-
-IDLE = Holds(("idle",))
-CHARGE = ValueOf(("charge", "?r"))
-SET_IDLE = Set(("idle",), Constant(True))
-NOT_IDLE = Set(("idle",), Constant(False))
 
 
 def warnings(model: Domain | Problem) -> list[str]:
