@@ -1,4 +1,4 @@
-"""What is known: batches that succeed or fail as one, layers, variables, and what sensors report."""
+"""What is known: batches that succeed or fail as one, layers, variables, what sensors report, and who reads what has changed."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping
 import pytest
 from hypothesis import given, strategies as st
 
-from pnm.core.knowledge_base import KnowledgeBase, Layered
+from pnm.core.knowledge_base import KnowledgeBase, Layered, Readers
 from pnm.core.logic.computed_values import MISSING
 from pnm.core.logic.conditions import All, Exists, Holds, Not
 from pnm.core.logic.expressions import UNDEFINED, UNKNOWN, Fluent, Unknown, Value, Variable
@@ -63,25 +63,14 @@ def test_what_is_false_is_not_listed() -> None:
     assert (knowledge.value(P), knowledge.value(Q), knowledge.facts()) == (False, None, {N: UNKNOWN})
 
 
-def test_a_listener_that_stops_hears_nothing_more() -> None:
-    knowledge = KnowledgeBase()
-    first: list[Facts] = []
-    second = heard(knowledge)
-    stop = knowledge.listen(first.append)
-    knowledge.update({P: True})
-    stop()
-    knowledge.update({P: False})
-    assert (first, second) == ([{P: True}], [{P: True}, {P: False}])
-
-
-def test_a_listener_may_stop_while_it_listens() -> None:
-    knowledge = KnowledgeBase()
-    stops: list[Callable[[], None]] = []
-    stops.append(knowledge.listen(lambda _: stops.pop()()))
+def test_a_listener_may_stop_while_it_listens_and_hears_nothing_more() -> None:
+    knowledge, first, stops = KnowledgeBase(), list[Facts](), list[Callable[[], None]]()
+    knowledge.listen(first.append)
+    stops.append(knowledge.listen(lambda _: stops.pop()()))  # which a second change would fail at
     after = heard(knowledge)
     knowledge.update({P: True})
     knowledge.update({Q: True})
-    assert after == [{P: True}, {Q: True}]
+    assert first == after == [{P: True}, {Q: True}]
 
 
 def test_what_was_given_and_what_is_returned_are_copies() -> None:
@@ -217,3 +206,46 @@ def test_a_derived_fact_is_sensed_if_all_below_it_is_and_as_late_as_that() -> No
     knowledge.sense(("power",), lag=3.0)
     assert [knowledge.is_sensed(one) for one in (("dark",), ("lit", "lab"), ("lamp", "lab"), ("at", "r1"))] == [True, True, True, False]
     assert (knowledge.lag({"dark"}), knowledge.lag({"lamp"}), knowledge.longest_lag) == (3.0, 2.0, 3.0)
+
+
+# --- who reads what has changed ---
+
+
+FLUENTS = st.tuples(st.sampled_from("pq"), st.sampled_from("ab"))
+READS = st.one_of(st.none(), st.frozensets(st.one_of(FLUENTS, st.sampled_from("pq"))))
+
+
+@given(st.lists(st.tuples(st.integers(0, 3), READS, st.booleans())), st.lists(FLUENTS))
+def test_a_change_concerns_those_who_read_it(steps: list, changed: list) -> None:
+    readers, reads = Readers[int](), dict[int, frozenset | None]()
+    for reader, its, is_added in steps:
+        if is_added:
+            readers.add(reader, its)
+            reads.setdefault(reader, its)
+        else:
+            readers.remove(reader)
+            reads.pop(reader, None)
+    news = {*changed, *(name for name, _ in changed)}
+    assert readers.concerned(changed) == {reader for reader, its in reads.items() if its is None or its & news}
+
+
+def test_a_knowledge_base_remembers_what_has_changed_and_when_anything_may_have() -> None:
+    world = KnowledgeBase({("p", "a"): True})
+    began = world.changes
+    world.update({("p", "a"): True, ("p", "b"): True})
+    seen = world.changes
+    assert world.changed_since(began) == [("p", "b")], "what was so before has not changed"
+    assert world.changed_since(seen) == []
+    world.store({"x": 1})
+    assert world.changed_since(seen) is None
+    seen = world.changes
+    world.sense(["p"])
+    assert world.changed_since(seen) is None
+    seen = world.changes
+    world.begin_anew({}, {}, world.rules)
+    assert world.changed_since(seen) is None
+    seen = world.changes
+    for number in range(50_000):
+        world.update({("q", str(number)): True})
+    assert world.changed_since(seen) is None, "it does not remember everything"
+    assert world.changed_since(world.changes - 2) == [("q", "49998"), ("q", "49999")]

@@ -1,11 +1,11 @@
-"""Three-valued conditions: Kleene's tables, quantifiers, and what knowing more can change."""
+"""Three-valued conditions: Kleene's tables, quantifiers, what knowing more can change; and facts and numbers as texts."""
 
 from __future__ import annotations
 
 import pytest
 from hypothesis import given, strategies as st
 
-from pnm.core.knowledge_base import KnowledgeBase
+from pnm.core.knowledge_base import KnowledgeBase, parse_fluent, parse_statement, statement_text
 from pnm.core.logic.conditions import (
     TRUE,
     All,
@@ -23,6 +23,7 @@ from pnm.core.logic.conditions import (
     names,
 )
 from pnm.core.logic.expressions import UNKNOWN, Environment, Fluent, Truth, Unknown, Value, Variable, choices
+from pnm.errors import InputError
 from tests.support.logic.rules import ALL_FACTS, ALL_NUMBERS, BASE, FACTS, OBJECTS, known, stratified_conditions
 
 VARIABLES = st.lists(st.sampled_from(("?x", "?y")), min_size=1, max_size=2, unique=True).map(lambda chosen: tuple(map(Variable, chosen)))
@@ -39,26 +40,16 @@ NAMED: dict[Truth, Condition] = {T: Holds(("t",)), F: Holds(("f",)), U: Holds(("
 # --- Kleene's tables ---
 
 
-@pytest.mark.parametrize(
-    ("one", "other", "both", "either", "implied"),
-    [
-        (T, T, T, T, T),
-        (T, F, F, T, F),
-        (T, U, U, T, U),
-        (F, T, F, T, T),
-        (F, F, F, F, T),
-        (F, U, F, U, T),
-        (U, T, U, T, T),
-        (U, F, F, U, U),
-        (U, U, U, U, U),
-    ],
-)
-def test_not_and_or_imply(one: Truth, other: Truth, both: Truth, either: Truth, implied: Truth) -> None:
-    left, right = NAMED[one], NAMED[other]
-    assert evaluate(Not(left), STATE) is (U if one is U else not one)
-    assert evaluate(All((left, right)), STATE) is both
-    assert evaluate(Any((left, right)), STATE) is either
-    assert evaluate(Implies(left, right), STATE) is implied
+@pytest.mark.parametrize("one", NAMED)
+@pytest.mark.parametrize("other", NAMED)
+def test_not_and_or_imply(one: Truth, other: Truth) -> None:
+    """False is less than unknown, and that less than true: `and` is the least of both, `or` the greatest."""
+    order = [F, U, T]
+    left, right, opposite = NAMED[one], NAMED[other], order[2 - order.index(one)]
+    assert evaluate(Not(left), STATE) is opposite
+    assert evaluate(All((left, right)), STATE) is min(one, other, key=order.index)
+    assert evaluate(Any((left, right)), STATE) is max(one, other, key=order.index)
+    assert evaluate(Implies(left, right), STATE) is max(opposite, other, key=order.index)
 
 
 def test_of_no_conditions_all_hold_and_none_does() -> None:
@@ -121,3 +112,65 @@ def test_grounding_first_gives_the_same(condition: Condition, state: KnowledgeBa
 def test_a_compiled_condition_has_the_same_truth(condition: Condition, env: Environment, state: KnowledgeBase) -> None:
     grounded = ground(condition, env)
     assert compiled(grounded).truth(state) is evaluate(grounded, state)
+
+
+# --- statements: what is written is read, and the rest is refused ---
+
+
+@pytest.mark.parametrize(
+    ("text", "statement"),
+    [
+        ("  ( at\tr1\n kitchen ) ", (("at", "r1", "kitchen"), True)),
+        ("( not ( ready ) )", (("ready",), False)),
+        ("(= (offset) -1.5e1)", (("offset",), -15.0)),
+        ("(= (battery r1) 0)", (("battery", "r1"), 0.0)),
+        ("(= (battery r1) .5)", (("battery", "r1"), 0.5)),
+        ("(= (place-of r1) nan)", (("place-of", "r1"), "nan")),
+        ("(= (place-of r1) infinity)", (("place-of", "r1"), "infinity")),
+    ],
+)
+def test_statements(text: str, statement: tuple[Fluent, Value]) -> None:
+    assert parse_statement(text) == statement
+    assert type(parse_statement(text)[1]) is type(statement[1])
+
+
+@pytest.mark.parametrize(
+    ("text", "refused"),
+    [
+        ("", ""),
+        ("at r1", "at r1"),
+        ("()", "()"),
+        ("(at r1", "(at r1"),
+        ("(at r1))", "(at r1))"),
+        ("(at (r1))", "(at (r1))"),
+        ("(p) (q)", "(p) (q)"),
+        ("(not (not (p)))", "(not (p))"),
+        ("(not (p) (q))", "(p) (q)"),
+        ("(= (at (r1)) 1)", "(at (r1))"),
+        ("(= (n) 1 2)", "(= (n) 1 2)"),
+        ("(and (p) (q))", "(and (p) (q))"),
+    ],
+)
+def test_what_is_no_statement_is_refused(text: str, refused: str) -> None:
+    with pytest.raises(InputError) as caught:
+        parse_statement(text)
+    assert str(caught.value) == f"not a fact: {refused!r}; expected something like (at r1 kitchen)"
+
+
+FLUENTS: st.SearchStrategy[Fluent] = st.lists(st.text("ab-1_?", min_size=1, max_size=4), min_size=1, max_size=4).map(tuple)
+
+
+@given(FLUENTS, st.one_of(st.booleans(), st.floats(-1e6, 1e6).map(lambda value: round(value, 3)), st.just("hall")))
+def test_a_statement_that_is_written_is_read(fluent: Fluent, value: Value) -> None:
+    assert repr(parse_statement(statement_text(fluent, value))) == repr((fluent, value)), "of the same type as well"
+    assert parse_fluent(statement_text(fluent, True)) == fluent
+
+
+@given(st.text("()=not 1ab", max_size=30))
+def test_any_text_is_a_statement_or_refused(text: str) -> None:
+    try:
+        fluent, _ = parse_statement(text)
+    except InputError:
+        return
+    assert fluent
+    assert all(fluent)

@@ -1,4 +1,4 @@
-"""Effects: all at once, deletes before adds, and what they may do."""
+"""Effects: all at once, deletes before adds, what they may do, when they are decided, and what it takes to undo them."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, strategies as st
 
 from pnm.core.knowledge_base import KnowledgeBase
-from pnm.core.logic.conditions import TRUE, Holds
+from pnm.core.logic.conditions import TRUE, Holds, evaluate
 from pnm.core.logic.effects import (
     OPERATIONS,
     Changes,
@@ -19,6 +19,7 @@ from pnm.core.logic.effects import (
     When,
     assignments,
     changes,
+    decided,
     effects_text,
     every_effect,
     facts,
@@ -26,15 +27,19 @@ from pnm.core.logic.effects import (
     names_written,
     possible_assignments,
     read,
+    read_early,
+    undo,
+    values_before,
     written,
 )
-from pnm.core.logic.expressions import UNKNOWN, Constant, Unknown, Value, ValueOf, Variable, value_of
+from pnm.core.logic.expressions import UNDEFINED, UNKNOWN, Constant, Fluent, Unknown, Value, ValueOf, Variable, value_of
 from tests.support.logic.effects import (
     ALL_FACTS,
     ALL_NUMBERS,
     ANY_EFFECTS,
     EFFECTS,
     FIGURES,
+    MIXED_EFFECTS,
     NUMBERS,
     PLAIN,
     ROOMS,
@@ -43,6 +48,7 @@ from tests.support.logic.effects import (
     add,
     at_hall,
     change_number,
+    delete,
     effects_of,
     happening,
     rooms_state,
@@ -71,22 +77,13 @@ def test_two_numbers_swap() -> None:
 )
 def test_numeric_effects(operation: str, by: float | Unknown, after: float | Unknown) -> None:
     effect = change_number(operation, "x", ValueOf(("by",)))
-    assert changes((effect,), rooms_state({("x",): 8.0, ("by",): by})) == {("x",): after}
+    assert changes((effect,), rooms_state({("x",): 8, ("by",): by})) == {("x",): after}
 
 
 @pytest.mark.parametrize("before", [None, UNKNOWN, True, False, "hall"])
 def test_what_is_no_number_cannot_be_increased(before: Value | Unknown | None) -> None:
     knowledge = rooms_state({} if before is None else {("x",): before})
     assert changes((change_number("increase", "x", 1.0),), knowledge) == {("x",): UNKNOWN}
-
-
-def test_whole_numbers_are_numbers() -> None:
-    assert changes((change_number("increase", "x", 1.0),), rooms_state({("x",): 3})) == {("x",): 4.0}
-
-
-def test_increases_accumulate() -> None:
-    both = (change_number("increase", "x", 1.0), change_number("decrease", "x", ValueOf(("x",))), change_number("increase", "x", 5.0))
-    assert changes(both, rooms_state({("x",): 3.0})) == {("x",): 6.0}
 
 
 MOVED = st.builds(Set, NUMBERS, st.sampled_from((1.0, 2.0, 4.0)).map(Constant), st.sampled_from(("increase", "decrease")))
@@ -123,14 +120,6 @@ def test_nothing_changes_that_is_not_said_to_be_written(effects: Effects, before
     after = changes(effects, before)
     assert set(after) <= written(effects, before)
     assert {fluent[0] for fluent in after} <= names_written(effects)
-
-
-@given(ANY_EFFECTS, STATES, st.data())
-def test_only_what_is_read_decides(effects: Effects, before: KnowledgeBase, data: st.DataObject) -> None:
-    after = changes(effects, before)
-    others = {*ALL_FACTS, *ALL_NUMBERS} - read(effects, before)
-    before.update({fluent: data.draw(FIGURES if fluent in ALL_NUMBERS else TRUTHS) for fluent in sorted(others)})
-    assert changes(effects, before) == after
 
 
 def test_what_is_read_are_conditions_right_hand_sides_and_numbers_that_are_moved() -> None:
@@ -187,3 +176,120 @@ SETS = st.builds(
 @given(SETS, SETS)
 def test_effects_that_are_written_alike_are_the_same(one: Set, other: Set) -> None:
     assert (str(one) == str(other)) is (one == other)
+
+
+# --- decided at the start ---
+
+
+@given(MIXED_EFFECTS, STATES, STATES)
+def test_early_conditions_are_asked_at_the_start_and_others_at_the_end(mixed: Effects, start: KnowledgeBase, end: KnowledgeBase) -> None:
+    expected = changes(tuple(Set(*one) for one in happening(mixed, start, end, {})), end)
+    assert changes(decided(mixed, start), end) == expected
+    assert written(decided(mixed, start), end) <= written(mixed, end)
+    assert decided(decided(mixed, start), end) == decided(mixed, start)
+
+
+@given(MIXED_EFFECTS, STATES, STATES, st.data())
+def test_only_what_is_read_early_decides_at_the_start_and_only_what_is_read_at_the_end(
+    mixed: Effects, start: KnowledgeBase, end: KnowledgeBase, data: st.DataObject
+) -> None:
+    after = changes(decided(mixed, start), end)
+    for moment, matters in ((start, read_early(mixed, start)), (end, read(mixed, end))):
+        others = {*ALL_FACTS, *ALL_NUMBERS} - matters
+        moment.update({fluent: data.draw(FIGURES if fluent in ALL_NUMBERS else TRUTHS) for fluent in sorted(others)})
+    assert changes(decided(mixed, start), end) == after
+
+
+def test_effects_without_early_conditions_are_left_as_they_are() -> None:
+    effects = (add("p"), When(Holds(("p",)), (add("q"),)), ForEach((Variable("?x"),), (When(Holds(("at", "?x")), (delete("p"),)),)))
+    assert decided(effects, rooms_state()) is effects
+    assert ground_effects((When(Holds(("at", "?x")), (add("q"),), True),), {"?x": "hall"}) == (
+        When(Holds(("at", "hall")), (add("q"),), True),
+    )
+
+
+def begin(effects: Effects, knowledge: KnowledgeBase) -> tuple[Changes, Changes]:
+    """Apply the effects; return what was there before and what they made of it."""
+    after = changes(effects, knowledge)
+    before = values_before(after, knowledge)
+    knowledge.update(after)
+    return before, after
+
+
+def seen(knowledge: KnowledgeBase) -> list[object]:
+    """What conditions can tell of the state: an absent fact is false, an absent number unknown."""
+    return [evaluate(Holds(fluent), knowledge) for fluent in ALL_FACTS] + [value_of(ValueOf(fluent), knowledge) for fluent in ALL_NUMBERS]
+
+
+# --- undo ---
+
+
+@given(ANY_EFFECTS, STATES)
+def test_undo_restores_the_state(effects: Effects, knowledge: KnowledgeBase) -> None:
+    at_first = seen(knowledge)
+    knowledge.update(undo(*begin(effects, knowledge), knowledge))
+    assert seen(knowledge) == at_first
+
+
+@given(ANY_EFFECTS, STATES, st.dictionaries(st.sampled_from(ALL_FACTS), TRUTHS))
+def test_undo_leaves_facts_alone_that_others_have_changed_since(effects: Effects, knowledge: KnowledgeBase, later: Changes) -> None:
+    before, after = begin(effects, knowledge)
+    theirs = knowledge.update(later)
+    knowledge.update(undo(before, after, knowledge))
+    assert {fluent: knowledge.value(fluent) for fluent in theirs} == theirs
+
+
+@pytest.mark.parametrize(("now", "undone"), [(17.0, {("load",): 12.0}), (UNKNOWN, {}), ("nobody", {}), (True, {})])
+def test_undo_takes_back_its_own_share_of_what_is_still_a_number(now: Value | Unknown, undone: Changes) -> None:
+    knowledge = rooms_state({("load",): 10.0})
+    before, after = begin((change_number("increase", "load", 5.0),), knowledge)
+    knowledge.update({("load",): now})
+    assert undo(before, after, knowledge) == undone
+
+
+LOCATION: Fluent = ("location", "r1")
+
+
+# --- objects ---
+
+
+def test_a_fluent_gets_an_object_by_name_by_variable_or_from_another_fluent() -> None:
+    knowledge = rooms_state({("target",): "kitchen"})
+    assert changes((Set(LOCATION, Constant("hall")),), knowledge) == {LOCATION: "hall"}
+    assert changes((Set(LOCATION, Constant("?to")),), knowledge, {"?to": "hall"}) == {LOCATION: "hall"}
+    assert changes((Set(LOCATION, ValueOf(("target",))),), knowledge) == {LOCATION: "kitchen"}
+    everywhere = ForEach((Variable("?x", ("room",)),), (Set(("next", "?x"), Constant("?x")),))
+    assert changes((everywhere,), knowledge) == {("next", "hall"): "hall", ("next", "kitchen"): "kitchen"}
+
+
+def test_objects_are_put_back() -> None:
+    knowledge = rooms_state({LOCATION: "hall"})
+    effects = (Set(LOCATION, Constant("kitchen")), Set(("location", "r2"), Constant("hall")))
+    before, after = begin(effects, knowledge)
+    assert before == {LOCATION: "hall", ("location", "r2"): UNDEFINED}
+    assert undo(before, after, knowledge) == before
+    knowledge.update({LOCATION: "cellar"})
+    assert undo(before, after, knowledge) == {("location", "r2"): UNDEFINED}
+
+
+def test_a_constant_object_is_as_plain_as_a_fact() -> None:
+    plain = (add("p"), Set(LOCATION, Constant("hall")), Set(("held",), Constant(UNDEFINED)))
+    assert facts(plain, rooms_state()) == {("p",): True, LOCATION: "hall", ("held",): UNDEFINED}
+    assert facts((Set(LOCATION, ValueOf(("target",))),), rooms_state({("target",): "hall"})) is None
+
+
+# --- text ---
+
+
+@pytest.mark.parametrize(
+    ("effects", "text"),
+    [
+        ((), "(and)"),
+        ((add("at", "?x"),), "(at ?x)"),
+        ((delete("p"), change_number("increase", "n", 1.5)), "(and (not (p)) (increase (n) 1.5))"),
+        ((When(Holds(("p",)), (add("q"),)),), "(when (p) (q))"),
+        ((ForEach((Variable("?x", ("room",)),), (add("at", "?x"), delete("p"))),), "(forall (?x - room) (and (at ?x) (not (p))))"),
+    ],
+)
+def test_effects_are_written_as_pddl(effects: Effects, text: str) -> None:
+    assert effects_text(effects) == text

@@ -1,8 +1,9 @@
-"""Nets and markings: the engine agrees with the readable firing rule, and both with m' = T·D + m."""
+"""Nets and markings: the engine agrees with the readable firing rule, and both with m' = T·D + m; orders of time of nets."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable
+from graphlib import TopologicalSorter
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ from hypothesis import given, strategies as st
 
 from pnm.core.net.block_net import Engine, block_net
 from pnm.core.net.net import Marking, NetBuilder, NetError, PetriNet, enabled, fire, is_enabled
+from pnm.core.net.orders import TimeOrder, time_order, topological_order
 from pnm.errors import NotEnabled
 
 Firing = tuple[str, int]
@@ -167,3 +169,87 @@ def test_a_place_that_is_named_twice_has_two_arcs(twice: Iterable[str]) -> None:
     builder.transition("t", twice, [p, q])
     assert builder.build().inputs["t"] == {"p": 2, "q": 1}
     assert builder.build().incidence() == ((-1, 0),)
+
+
+# --- orders of time: tokens go forward, but for the arcs that are said to lead back ---
+
+
+def net_of(*arcs: str) -> PetriNet:
+    """A net of places by letters: ``"a>b c"`` is a transition from a to b and c."""
+    builder = NetBuilder()
+    for place in sorted({letter for arc in arcs for letter in arc if letter.isalpha()}):
+        builder.place(place)
+    for arc in arcs:
+        inputs, _, outputs = arc.partition(">")
+        builder.transition(arc, inputs.split(), outputs.split())
+    return builder.build()
+
+
+def order(*arcs: str, aside: str = "") -> TimeOrder:
+    return time_order(net_of(*arcs), "a", aside)
+
+
+def test_the_arc_that_closes_a_cycle_leads_back() -> None:
+    assert order("a>b", "b>c", "c>b", "c>d").back == {("c>b", "b")}
+
+
+def test_counters_order_nothing_and_come_last() -> None:
+    found = order("a>c", "c b>a b", "c>d", aside="b")
+    assert [*found.when] == ["a", "c", "d", "b"]
+    assert found.back == {("c b>a b", "a")}
+
+
+LETTERS = st.sampled_from("abcdef")
+NETS = st.lists(
+    st.builds(lambda before, after: f"{before}>{' '.join(sorted(after))}", LETTERS, st.frozensets(LETTERS, min_size=1)), unique=True
+)
+
+
+@given(NETS)
+def test_every_place_has_one_position_and_what_is_reached_goes_forward(arcs: list[str]) -> None:
+    net = net_of("a>b", *(arc for arc in arcs if arc != "a>b"))
+    found = time_order(net, "a", ())
+    assert sorted(found.when) == sorted(net.places)
+    assert sorted(found.when.values()) == [*range(len(net.places))]
+    reached = {"a"}
+    while more := {after for place in reached for name in net.postset(place) for after in net.outputs[name]} - reached:
+        reached |= more
+    for name in net.transitions:
+        for before in net.inputs[name]:
+            for after in net.outputs[name]:
+                if before in reached and (name, after) not in found.back:
+                    assert found.when[before] < found.when[after]
+
+
+# --- topological orders: that of graphlib, or always the least of those that may be next ---
+
+
+pairs = st.lists(st.tuples(st.integers(0, 9), st.integers(0, 9)), max_size=20)
+
+
+def preceding_of(drawn: list[tuple[int, int]]) -> list[list[int]]:
+    """Ten numbers in any order of their own, each preceded by some that come before it there."""
+    found: list[list[int]] = [[] for _ in range(10)]
+    for one, other in drawn:
+        if one != other:
+            found[max(one, other) * 7 % 10].append(min(one, other) * 7 % 10)
+    return found
+
+
+@given(pairs)
+def test_without_ranks_it_is_the_order_of_graphlib(drawn: list[tuple[int, int]]) -> None:
+    preceding = [[*dict.fromkeys(one)] for one in preceding_of(drawn)]
+    assert topological_order(preceding) == [*TopologicalSorter(dict(enumerate(preceding))).static_order()]
+
+
+@given(pairs, st.lists(st.integers(0, 3), min_size=10, max_size=10))
+def test_with_ranks_the_least_of_those_that_may_be_next_comes_first(drawn: list[tuple[int, int]], ranks: list[int]) -> None:
+    preceding, left = preceding_of(drawn), set(range(10))
+    for found in topological_order(preceding, ranks.__getitem__):
+        assert found == min((one for one in left if left.isdisjoint(preceding[one])), key=lambda one: (ranks[one], one))
+        left.remove(found)
+    assert not left
+
+
+def test_what_precedes_itself_is_left_out_with_all_that_comes_after_it() -> None:
+    assert topological_order([[], [2], [1, 0], [2], [0]]) == [0, 4]

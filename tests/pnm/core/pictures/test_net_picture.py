@@ -18,7 +18,7 @@ from pnm.core.machine.bindings import Binding, Bindings
 from pnm.core.machine.generate import generate
 from pnm.core.machine.machine import PetriNetMachine
 from pnm.core.machine.plan_graph import PlanGraph
-from pnm.core.pictures.net_picture import Crossing, Standing, block_layouts, net_svg
+from pnm.core.pictures.net_picture import Crossing, block_layouts, net_svg
 from tests.support.runs.control_flow import LARGE, SHAPES
 from tests.support.runs.plan_graphs import nested_plan, plan, two_robots
 
@@ -97,19 +97,6 @@ def test_in_a_block_arcs_lead_to_all_that_a_transition_is_connected_to_and_share
 def span(crossing: Crossing) -> tuple[float, float]:
     reached = [x for x, _ in crossing.inputs] + [*crossing.outputs, *crossing.back, crossing.bar]
     return min(reached), max(reached)
-
-
-def test_a_call_reads_in_the_order_of_time_and_all_goes_well_in_its_first_row() -> None:
-    machine = generate(plan(1))
-    layout = block_layouts(machine)[0]
-    own = [column.places[0].rpartition(" ")[2] for column in layout.columns if column.standing is Standing.OWN]
-    times = "ready requested withdrawing running overdue suspending stopping settling finished recover budget spent done failed"
-    assert own == times.split()
-    first = [crossing for crossing in layout.crossings if crossing.row == 0]
-    events = [machine.rules[crossing.transition].name for crossing in sorted(first, key=lambda crossing: crossing.bar)]
-    assert [event for event in events if event != "completed"] == ["join", "start", "accepted", "succeeded", "effects_hold", "fork"]
-    back = {machine.rules[crossing.transition].name for crossing in layout.crossings if crossing.back}
-    assert back == {"retry", "suspended"}
 
 
 def test_resources_are_words_at_the_transitions_that_take_and_give_them() -> None:

@@ -1,23 +1,30 @@
-"""Pictures of plans: everything is there once, in the order of time, and nothing lies over anything else.
+"""Pictures of plans, drawn and as Graphviz text: everything is there once, in the order of time, and nothing lies over anything else.
 
-`--write` with python -m tests.pnm.core.pictures.test_plan_picture renews the golden picture.
+`--write` with python -m tests.pnm.core.pictures.test_plan_picture renews the golden pictures.
 """
 
 from __future__ import annotations
 
 import re
 import sys
+from collections.abc import Callable
 from itertools import combinations
 from pathlib import Path
 from xml.etree import ElementTree
 
+import pytest
 from hypothesis import example, given
 
-from pnm.core.machine.plan_graph import Moment, Ordering, PlanEvent, PlanGraph
-from pnm.core.pictures.plan_picture import COLUMNS, laid_out, plan_svg
+from pnm.core.logic.conditions import Holds
+from pnm.core.machine.generate import generate
+from pnm.core.machine.plan_graph import Moment, Ordering, PlanEvent, PlanGraph, WaitUntil
+from pnm.core.pictures.net_picture import net_svg
+from pnm.core.pictures.plan_picture import COLUMNS, laid_out, plan_dot, plan_svg
+from pnm.core.pictures.timeline import timeline_svg
 from tests.support.runs.plan_graphs import nested_plan, plan, plans, two_robots
 
-GOLDEN = Path(__file__).parent / "golden" / "plan.svg"
+GOLDEN = Path(__file__).parent / "golden"
+PICTURES: dict[str, Callable[[PlanGraph], str]] = {"plan.svg": plan_svg, "plan.dot": plan_dot}
 SVG = "{http://www.w3.org/2000/svg}"
 
 
@@ -27,8 +34,9 @@ def boxes(svg: str) -> list[tuple[int, int]]:
     return [(int(rect.get("x", "")), int(rect.get("y", ""))) for rect in rects]
 
 
-def test_a_picture_is_drawn_as_it_ever_was() -> None:
-    assert plan_svg(two_robots()) == GOLDEN.read_text(encoding="utf-8")
+@pytest.mark.parametrize("name", PICTURES)
+def test_a_picture_is_drawn_as_it_ever_was(name: str) -> None:
+    assert PICTURES[name](two_robots()) == (GOLDEN / name).read_text(encoding="utf-8")
 
 
 @given(plans(most=8))
@@ -138,5 +146,58 @@ def test_what_loops_choices_and_recoveries_hold_is_drawn_below_them() -> None:
         assert words in svg
 
 
+# --- as Graphviz text ---
+
+
+@given(plans(most=8))
+def test_every_step_and_every_arrow_is_there_once(graph: PlanGraph) -> None:
+    text = plan_dot(graph)
+    assert sorted(map(int, re.findall(r"^ +(\d+) \[label", text, re.M))) == [call.index for call in graph.calls]
+    arrows = [(int(before), int(after)) for before, after in re.findall(r"(\d+) -> (\d+)", text)]
+    assert sorted(arrows) == sorted((arrow.before, arrow.after) for arrow in laid_out(graph.flow).arrows)
+
+
+def test_the_end_that_waits_is_dashed_and_moves_nothing() -> None:
+    assert '1 -> 0 [label="ends after", style=dashed, constraint=false];' in plan_dot(plan(2, "0s<1s", "1e<0e"))
+
+
+def test_what_a_step_holds_stands_in_a_frame() -> None:
+    text = plan_dot(nested_plan())
+    assert text.count("subgraph cluster_") == 4
+    assert re.findall(r"(\d) -> (\d) \[style=dotted\]", text) == [("4", "0"), ("5", "1"), ("5", "2"), ("2", "3")]
+    assert "Hello & <bye>" in text
+
+
+def test_a_wait_says_what_for_and_how_long() -> None:
+    text = plan_dot(PlanGraph((WaitUntil(0, Holds(("open", "door")), 5.0),)))
+    assert '[label="wait until  #0\\n(open door)", tooltip="wait_until((open door))#0, 5 s at most"]' in text
+
+
+# --- in notebooks ---
+
+
+def test_plans_and_machines_draw_themselves() -> None:
+    graph = two_robots()
+    assert graph._repr_svg_() == plan_svg(graph)
+    machine = generate(graph)
+    assert machine._repr_svg_() == net_svg(machine)
+
+
+def test_a_machine_that_a_browser_takes_long_for_is_shown_as_text() -> None:
+    graph = plan(51)
+    assert generate(graph)._repr_svg_() is None
+    assert graph._repr_svg_() == plan_svg(graph)
+
+
+@pytest.mark.parametrize("svg", [plan_svg(two_robots()), net_svg(generate(plan(1))), timeline_svg()])
+def test_the_looks_of_a_picture_are_for_pictures_of_its_kind_alone(svg: str) -> None:
+    root = ElementTree.fromstring(svg)
+    style = root.findtext("{http://www.w3.org/2000/svg}style") or ""
+    selectors = [selector for rule in style.split("}") if rule for selector in rule.partition("{")[0].split(",")]
+    assert selectors
+    assert all(selector.startswith(f".{root.get('class')} ") for selector in selectors)
+
+
 if __name__ == "__main__" and "--write" in sys.argv:
-    GOLDEN.write_text(plan_svg(two_robots()), encoding="utf-8")
+    for name, drawn in PICTURES.items():
+        (GOLDEN / name).write_text(drawn(two_robots()), encoding="utf-8")

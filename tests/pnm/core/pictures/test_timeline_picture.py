@@ -44,19 +44,8 @@ def test_a_picture_is_drawn_as_it_ever_was() -> None:
     assert timeline_svg(example()) == GOLDEN.read_text(encoding="utf-8")
 
 
-def test_a_replan_keeps_drops_and_adds() -> None:
-    new = example().plans[1].replan
-    assert new == Replan("move has failed 2 times", ("unload(r1, parcel)",), ("move(r1, hall, kitchen)",), ("open(r2, door)",))
-
-
 def texts(svg: str) -> list[str]:
     return [element.text or "" for element in ElementTree.fromstring(svg).iter(f"{SVG}text")]
-
-
-def test_signs_and_words_tell_how_attempts_ended() -> None:
-    said = texts(timeline_svg(example()))
-    for words in ("✗ aborted: no <path>", "⊘ canceled", "→ under way", "↻1", "✗  move: aborted", "parcels & letters"):
-        assert any(text.startswith(words[:12]) for text in said), words
 
 
 def test_a_call_that_fails_although_its_request_succeeded_says_so() -> None:
