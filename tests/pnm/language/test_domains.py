@@ -130,11 +130,6 @@ def test_what_is_wrong_with_a_domain(read: Read, tmp_path: Path, text: str, mess
     assert str(caught.value).removeprefix(str(tmp_path / "domain.yaml")).startswith(message), str(caught.value)
 
 
-def test_how_to_register_is_said_for_classes_that_are_not_known(read: Read) -> None:
-    with pytest.raises(InputError, match=r"register_source\('my\.ontology\.Base'"):
-        read("external_knowledge_base: {module: my.ontology, class: Base}\nactions: {}\n")
-
-
 def test_nothing_that_a_file_names_is_imported(read: Read, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "trap.py").write_text("raise SystemExit('imported')\n")
     monkeypatch.syspath_prepend(tmp_path)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import json
-import re
 from math import inf
 from pathlib import Path
 
@@ -166,17 +165,10 @@ def test_a_result_is_json_whatever_is_in_it(tmp_path: Path) -> None:
     assert json.loads(json.dumps(result.as_json(), allow_nan=False))["variables"]["v"] == ["inf"]
 
 
-@pytest.mark.parametrize(
-    ("given", "message"),
-    [
-        (("--set", "x=[1, .nan]"), r"--set x:1:5: expected a finite number, found \.nan"),
-        (("--planner", "race:kairoos"), r"'kairoos' cannot take part in a race; .*; did you mean 'kairos'\?"),
-    ],
-)
-def test_what_is_wrong_on_the_command_line_is_refused_before_the_plan_begins(tmp_path: Path, given: tuple[str, str], message: str) -> None:
-    done = pnm("run", "--plan", str(written(tmp_path, "plan: []")), *given, "--json")
+def test_what_is_wrong_on_the_command_line_is_refused_before_the_plan_begins(tmp_path: Path) -> None:
+    done = pnm("run", "--plan", str(written(tmp_path, "plan: []")), "--set", "x=[1, .nan]", "--json")
     assert (done.returncode, done.stdout) == (2, "")
-    assert re.search(message, done.stderr)
+    assert "--set x:1:5: expected a finite number, found .nan" in done.stderr
 
 
 def test_the_name_of_a_server_needs_its_parameters_whatever_the_goal_has(tmp_path: Path) -> None:
