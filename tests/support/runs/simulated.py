@@ -122,7 +122,6 @@ def simulate(
     bindings: Bindings | None = None,
     on_failure: OnFailure = OnFailure.DRAIN,
     watched: bool = True,
-    stop_at: float | None = None,
 ) -> SimulatedRun:
     """Run a plan to its end. Unless `watched`, nothing reports what the world is like."""
     chosen = bindings or Bindings()
@@ -139,10 +138,7 @@ def simulate(
         if watched:
             report_changes(world, beliefs)
         robots.begin()
-        executor = Executor(run, robots)
-        if stop_at is not None:
-            asyncio.get_running_loop().call_later(stop_at, executor.stop)
-        return await executor.execute()
+        return await Executor(run, robots).execute()
 
     return SimulatedRun(run_async(main(), virtual=True), truth, beliefs, run, log)
 

@@ -26,7 +26,7 @@ from pnm.core.machine.requests import Accepted, Ended
 from pnm.core.machine.verification.verify import verify
 from pnm.executor import Executor
 from tests.support.runs.commands import begun, cancelled, in_its_moment, report
-from tests.support.runs.handover import CANCELED, SUCCEEDED, ManualClient, going
+from tests.support.runs.handover import SUCCEEDED, ManualClient, going
 from tests.support.runs.plan_graphs import plan_of
 
 OPEN, LIT, HELD = ("open",), ("lit",), ("held",)
@@ -55,14 +55,6 @@ def passing(
 
 def failure_causes(run: Run) -> list[str]:
     return [failure.cause for failure in run.result().failures]
-
-
-def test_a_report_that_it_is_false_acts_at_once() -> None:
-    run = passing(PASS, OPEN)
-    assert cancelled(report(run, OPEN, False, 2.0))
-    run.handle(Ended(run.open_requests[0], CANCELED), 2.1)
-    assert failure_causes(run) == ["invariant_false"]
-    assert run.result().failures[0].observed == "(open) is false"
 
 
 def test_what_was_reported_false_between_the_request_and_its_acceptance_acts_at_once() -> None:

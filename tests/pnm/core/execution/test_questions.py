@@ -21,10 +21,8 @@ from pnm.core.machine.generate import generate
 from pnm.core.machine.plan_graph import GroundAction
 from pnm.core.machine.requests import Accepted, Ended
 from pnm.core.machine.verification.verify import verify
-from pnm.errors import InputError
 from pnm.executor import Executor
 from pnm.knowledge.people import question_text
-from pnm.knowledge.sources import SourceChoice, Surroundings, open_sources
 from tests.support.logic.people import Person
 from tests.support.runs.commands import RUN
 from tests.support.runs.handover import SUCCEEDED, ManualClient, carried, successor
@@ -101,12 +99,6 @@ def test_a_run_that_is_stopped_asks_nobody_any_more() -> None:
     assert of_type(run.handle(Ended(run.open_requests[0], SUCCEEDED), 1.0), Ask)
     assert of_type(run.handle(Stop(), 2.0), Withdraw)
     assert run.over
-
-
-@pytest.mark.parametrize(("source", "limit"), [("person", 4000), ("terminal", 3600)])
-def test_a_source_cannot_be_more_patient_than_runs_are(source: str, limit: float) -> None:
-    with pytest.raises(InputError, match="at most 3599"):
-        open_sources([SourceChoice(source, {"limit": limit})], Surroundings())
 
 
 # --- what a person was asked is not asked again by the run that goes on ---

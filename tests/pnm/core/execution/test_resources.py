@@ -12,7 +12,7 @@ import pytest
 from planner_bridge.model.world import simulated_backend
 from pnm.actions.simulated_robots import SimulatedRobots, SimulatedWorld
 from pnm.clock import run_async
-from pnm.core.execution.events import Answered, Ask, Begin, Command, KnowledgeChanged, ResourcesChanged, Send, Stop, Tick
+from pnm.core.execution.events import Answered, Ask, Begin, Command, KnowledgeChanged, Send, Tick
 from pnm.core.execution.run import Run
 from pnm.core.knowledge_base import KnowledgeBase, Layered
 from pnm.core.logic.computed_values import Layer, Literal, Operation, Query
@@ -101,37 +101,6 @@ def test_the_steps_of_a_recovery_take_their_own() -> None:
     assert sent(commands) == ["b"]
     assert [one.names for one in run.resources.held] == [("arm", "leg")]
     assert sent(finish(run)) == ["a"]
-
-
-def test_runs_with_one_pool_take_turns_by_priority_then_in_order() -> None:
-    pool = Resources()
-    low, commands = begun(plan_of(arm("low")), resources=pool)
-    assert sent(commands) == ["low"]
-    waiting = [
-        begun(plan_of(arm(name)), id=UUID(int=number), resources=pool, priority=rank)[0] for number, (name, rank) in enumerate(LINE, 2)
-    ]
-    assert {held.task for _, held in pool.outranking()} == {low.task}
-    finish(low)
-    order = []
-    for _ in LINE:
-        for run in waiting:
-            order += sent(run.handle(ResourcesChanged(), 2.0))
-        finish(next(run for run in waiting if run.open_requests))
-    assert order == ["high", "second", "third"]
-    assert (pool.held, pool.line) == ((), ())
-
-
-LINE = (("second", 0), ("third", 0), ("high", 1))
-
-
-def test_a_claim_is_withdrawn_when_the_call_is_skipped() -> None:
-    pool = Resources()
-    begun(plan_of(arm("first")), resources=pool)
-    run, _ = begun(plan_of(arm("second")), id=UUID(int=2), resources=pool)
-    assert len(pool.line) == 1
-    run.handle(Stop(), 1.0)
-    assert run.over
-    assert pool.line == ()
 
 
 def test_resources_are_named_after_robots_also_when_the_robot_is_known_late() -> None:

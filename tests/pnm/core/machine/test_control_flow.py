@@ -1,4 +1,4 @@
-"""Loops, choices, recoveries and resources: sound machines, and runs that do what the plan says."""
+"""Loops, choices, recoveries, resources and knowledge: sound machines, and runs that do what the plan says."""
 
 from __future__ import annotations
 
@@ -8,18 +8,18 @@ import pytest
 
 from pnm.core.execution.events import Ask, Pause, Resume, Tick
 from pnm.core.knowledge_base import KnowledgeBase
-from pnm.core.logic.computed_values import Layer, Literal, Operation, Query
+from pnm.core.logic.computed_values import Layer, Literal, Operation, Parameter, Query, Question
 from pnm.core.logic.conditions import Computed
 from pnm.core.logic.expressions import UNKNOWN
 from pnm.core.machine.bindings import Binding, Bindings
 from pnm.core.machine.failure_causes import Cause
 from pnm.core.machine.generate import generate
 from pnm.core.machine.machine import OnFailure
-from pnm.core.machine.plan_graph import ActionCall, Choice, Loop, PlanGraph, Recovery, Then, WaitUntil
+from pnm.core.machine.plan_graph import ActionCall, GroundAction, Loop, Then, WaitUntil
 from pnm.core.machine.verification.part import Unsound
 from pnm.core.machine.verification.verify import explore, verify
 from tests.support.runs.commands import begun
-from tests.support.runs.control_flow import LARGE, SHAPES, call_with, flow, local, ne, on, store
+from tests.support.runs.control_flow import LARGE, SHAPES, call_with, flow, local, on, store
 from tests.support.runs.direct import answering_with, drive
 from tests.support.runs.mutation.changes import without_output
 from tests.support.runs.mutation.gate import check_proof_of_mutants
@@ -49,41 +49,7 @@ def test_the_block_proof_accepts_no_machine_that_the_state_space_refutes(name: s
     check_proof_of_mutants(generate(SHAPES[name], ONCE))
 
 
-def counting_plan(limit: int = 1000) -> PlanGraph:
-    """Count n up to 10."""
-    more = Operation("add", (local("n"), Literal.of(1)))
-    return plan_of_steps(Loop(2, ne("n", 10), flow(call_with(0), store(1, "n", more), orders=("0e<1s",)), limit))
-
-
 # --- runs ---
-
-
-def test_a_loop_whose_condition_never_becomes_false_fails_by_name() -> None:
-    trace = drive(counting_plan(3), variables={"n": 5}, bindings=ONCE)
-    assert not trace.result.goal
-    assert trace.actions == ["a0"] * 3
-    (failure,) = trace.result.failures
-    assert (failure.cause, failure.observed) == ("loop_limit", "local[n] is 8")
-    assert "after 3 rounds" in failure.expected
-
-
-COUNTED = Loop(
-    2,
-    Computed(Operation("lt", (local("n"), local("most")))),
-    flow(call_with(0), store(1, "n", Operation("add", (local("n"), Literal.of(1)))), orders=("0e<1s",)),
-    9,
-)
-CHOSEN = Choice(2, COUNTED.condition, flow(call_with(0)), flow(call_with(1)))
-
-
-@pytest.mark.parametrize("step", [COUNTED, CHOSEN])
-@pytest.mark.parametrize(("value", "shown"), [("abc", '"abc"'), (None, "null")])
-def test_a_step_whose_condition_cannot_be_computed_fails_by_name(step: Loop | Choice, value: object, shown: str) -> None:
-    trace = drive(plan_of_steps(step), variables={"n": 0, "most": value})
-    assert (trace.result.goal, trace.actions) == (False, [])
-    (failure,) = trace.result.failures
-    assert (failure.cause, failure.expected) == ("condition_unknown", "lt(local[n], local[most]) to be true or false")
-    assert failure.observed == f"local[n] is 0, local[most] is {shown}"
 
 
 def test_a_condition_that_nothing_reports_any_more_is_waited_for_and_fails_by_name() -> None:
@@ -92,20 +58,6 @@ def test_a_condition_that_nothing_reports_any_more_is_waited_for_and_fails_by_na
     trace = drive(SHAPES["choice"], world=world)
     assert (trace.result.goal, trace.actions) == (False, [])
     assert [(failure.cause, failure.observed) for failure in trace.result.failures] == [("condition_unknown", "(ok) is unknown")]
-
-
-def test_a_wait_ends_when_its_condition_becomes_true() -> None:
-    graph = plan_of_steps(WaitUntil(2, READY, 5.0), store(0, "n", Literal.of(1)), call_with(1), orders=("2e<1s",))
-    trace = drive(graph, variables={"n": 0})
-    assert (trace.result.goal, trace.actions) == (True, ["a1"])
-
-
-@pytest.mark.parametrize(("variables", "observed"), [({"n": 0}, "local[n] is 0"), ({}, "local[n] is missing")])
-def test_a_wait_for_what_does_not_come_fails_by_name(variables: dict[str, object], observed: str) -> None:
-    trace = drive(plan_of_steps(WaitUntil(1, READY, 5.0), call_with(0), orders=("1e<0s",)), variables=variables)
-    assert (trace.result.goal, trace.actions) == (False, [])
-    (failure,) = trace.result.failures
-    assert (failure.cause, failure.expected, failure.observed) == ("wait_limit", "eq(local[n], 1) within 5 s", observed)
 
 
 def test_the_limit_of_a_wait_does_not_pass_during_a_pause() -> None:
@@ -128,13 +80,6 @@ def test_no_question_stops_the_limit_of_a_wait() -> None:
     assert not run.over
     run.handle(Tick(), 5.0)
     assert [failure.cause for failure in run.result().failures] == ["wait_limit"]
-
-
-def test_a_chain_recovers_and_the_call_begins_anew_until_that_is_used_up() -> None:
-    recovering = plan_of_steps(call_with(0, on(Cause.ABORTED, Then.RETRY, call_with(1), times=2)))
-    assert drive(recovering, answering_with(a0=["aborted", "aborted"]), bindings=ONCE).actions == ["a0", "a1", "a0", "a1", "a0"]
-    failed = drive(recovering, answering_with(a0=["aborted"] * 3), bindings=ONCE).result
-    assert [one.cause for one in failed.failures] == ["aborted"]
 
 
 @pytest.mark.parametrize(
@@ -164,12 +109,6 @@ def test_a_chain_that_fails_fails_the_call() -> None:
     assert [str(one.call) for one in trace.result.failures] == ["a1()#1", "a0()#0"]
 
 
-def test_a_check_of_the_plan_s_own_comes_before_the_action() -> None:
-    lost = Recovery(frozenset({Cause.BEFORE}), Then.SKIP, flow(call_with(1)), 1, ne("n", 1))
-    assert drive(plan_of_steps(call_with(0, lost)), variables={"n": 1}).actions == ["a0"]
-    assert drive(plan_of_steps(call_with(0, lost)), variables={"n": 2}).actions == ["a1"]
-
-
 def restarts(index: int) -> ActionCall:
     """A call that has the plan begin anew when it is aborted."""
     return call_with(index, on(Cause.ABORTED, Then.RESTART_PLAN))
@@ -180,9 +119,6 @@ def test_restarting_the_plan_ends_what_is_beside_it_first_and_begins_once() -> N
     trace = drive(restarting, answering_with(a0=["aborted"], a1=["aborted"]), bindings=ONCE)
     assert trace.result.goal
     assert trace.actions == ["a0", "a1", "a0", "a1", "a2"]
-    trace = drive(restarting, answering_with(a0=["aborted"] * 2), bindings=ONCE)
-    assert not trace.result.goal
-    assert trace.actions == ["a0", "a1"] * 2
 
 
 def test_a_plan_begins_anew_as_often_as_it_may_whoever_asks() -> None:
@@ -217,3 +153,64 @@ def test_a_call_whose_wish_to_restart_is_treated_otherwise_is_found() -> None:
 def test_a_call_that_others_would_undo_is_not_counted_as_failed_when_the_plan_begins_anew() -> None:
     beside = plan_of_steps(restarts(0), call_with(1, on(Cause.ABORTED, Then.RETRY)))
     assert drive(beside, answering_with(a0=["aborted"], a1=["aborted"]), bindings=ONCE).result.goal
+
+
+# --- knowledge: what is stored, computed, asked for and checked ---
+
+
+def test_what_keeps_a_resource_while_it_waits_for_others_is_not_sound() -> None:
+    machine = generate(SHAPES["resource and an end that waits"], ONCE)
+    given, kept = "a0()#0 succeeded", "a0()#0 await"
+    outputs = {one: dict(places) for one, places in machine.net.outputs.items()}
+    outputs[kept]["resource arm"] = outputs[given].pop("resource arm")
+    keeping = replace(machine, net=replace(machine.net, outputs=outputs))
+    with pytest.raises(Unsound, match="keeps resources that they may need"):
+        verify(keeping)
+    with pytest.raises(Unsound):
+        explore(keeping)
+
+
+def test_an_update_of_global_knowledge_is_awaited_and_a_local_one_is_not() -> None:
+    both = plan_of_steps(store(0, "spam", Literal.of("eggs"), Layer.ALL), store(1, "ham", local("spam")), orders=("0e<1s",))
+    trace = drive(both, known={})
+    assert trace.told == [(Question("spam", Layer.GLOBAL, "null"), "eggs")]
+    assert trace.run.knowledge.local.variables() == {"spam": "eggs", "ham": "eggs"}
+    shared = drive(both).run.knowledge
+    assert shared.world.variables() == {"spam": "eggs"}
+
+
+def test_a_variable_that_nobody_knows_is_not_copied_as_nothing() -> None:
+    trace = drive(plan_of_steps(store(0, "ham", Query(Literal.of("spam")))), known={})
+    assert [(one.cause, one.expected) for one in trace.result.failures] == [("data_missing", "values for spam")]
+
+
+def test_a_question_is_asked_once_per_decision() -> None:
+    both_ways = Computed(Operation("eq", (Query(Literal.of("spam"), Layer.GLOBAL), Literal.of(1))))
+    trace = drive(plan_of_steps(Loop(1, both_ways, flow(store(0, "n", Literal.of(1))), 3)), known={"spam": 1})
+    assert len(trace.asked) == 4
+    assert not trace.result.goal
+
+
+def test_missing_goal_data_is_looked_up_globally_then_asked_for_then_a_failure_by_name() -> None:
+    graph = plan_of_steps(ActionCall(0, GroundAction("wait", ("?time",), ("time",))))
+    near = drive(graph, variables={"time": 1}, known={"time": 2})
+    assert near.sent == [("wait", {"action": "wait", "arguments": ["1"], "duration": 0.0, "time": 1})]
+    assert drive(graph, known={"time": 2}).sent[0][1]["time"] == 2
+    asking = Bindings({"wait": Binding(ask={"time": "How long?"})})
+    asked = drive(graph, known={}, bindings=asking)
+    assert asked.asked == [Question("time", Layer.GLOBAL, "null"), Question("time", Layer.PERSON, '"How long?"')]
+    assert [(one.cause, one.expected) for one in asked.result.failures] == [("data_missing", "values for time")]
+
+
+def test_what_a_person_is_asked_names_the_arguments_of_the_call() -> None:
+    graph = plan_of_steps(ActionCall(0, GroundAction("wait", ("r1", "?time"), ("robot", "time"))))
+    asking = Bindings({"wait": Binding(ask={"time": "How long shall {robot} wait, {sir}?"})})
+    asked = drive(graph, known={}, bindings=asking).asked
+    assert asked[-1] == Question("time", Layer.PERSON, '"How long shall r1 wait, {sir}?"')
+
+
+def test_a_parameter_that_knowledge_fills_keeps_its_kind() -> None:
+    few = Computed(Operation("lt", (Parameter("?n"), Literal.of(5))))
+    graph = plan_of_steps(ActionCall(0, GroundAction("count", ("?n",), ("n",), precondition=few)))
+    assert drive(graph, variables={"n": 3}).sent[0][1]["n"] == 3
+    assert [one.cause for one in drive(graph, variables={"n": 7}).result.failures] == ["precondition_false"]

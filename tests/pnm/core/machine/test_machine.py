@@ -1,25 +1,46 @@
-"""Machines are sound: explored exhaustively when small, and proved block by block at any size."""
+"""Machines are sound: explored when small, and proved block by block at any size; that blocks share templates makes no difference."""
 
 from __future__ import annotations
 
 from dataclasses import replace
+from math import inf
+from random import Random
+from typing import get_args
 
 import pytest
 from hypothesis import given, settings, strategies as st
 
+from pnm.core.execution.guards import OPENS
 from pnm.core.logic.conditions import TRUE
 from pnm.core.machine.bindings import Binding, Bindings
+from pnm.core.machine.call_block import CallTerms
 from pnm.core.machine.generate import generate
-from pnm.core.machine.guards import Accepts, After, Always, ConditionFalse, Due, EffectsMissing, Guard, PauseAsked, Withheld
+from pnm.core.machine.guards import (
+    Accepts,
+    After,
+    Always,
+    ConditionFalse,
+    Due,
+    EffectsMissing,
+    Ends,
+    Guard,
+    GuardKind,
+    OfCall,
+    PauseAsked,
+    Withheld,
+)
 from pnm.core.machine.machine import OnFailure
 from pnm.core.machine.plan_graph import GroundAction, PlanGraph, PlanGraphError
-from pnm.core.machine.requests import TransitionAction
+from pnm.core.machine.requests import OutcomeKind, TransitionAction
 from pnm.core.machine.verification.explore import explore_part
 from pnm.core.machine.verification.part import Part, PartStep, Unsound, shape_of
 from pnm.core.machine.verification.verify import explore, verify
 from pnm.core.net.net import PetriNet
+from tests.support.runs.mutation.block_edits import BLOCK_EDITS, Edit
 from tests.support.runs.mutation.changes import with_input, with_rule, without_transition
+from tests.support.runs.mutation.forgotten import alone, forgetting
 from tests.support.runs.mutation.gate import check_proof_of_mutants
+from tests.support.runs.mutation.machines import as_text, blocks_of, random_machine, written_out
 from tests.support.runs.plan_graphs import plan, plan_of, plans
 
 SHAPES = {
@@ -85,10 +106,7 @@ def test_rules_that_are_not_what_they_seem_are_refuted() -> None:
     machine = generate(SHAPES["chain"])
     for broken, why in (
         (with_rule(machine, "a0()#0 start", action=None, outcome=None), "is about a request, and none is alive"),
-        (
-            with_rule(machine, "a0()#0 retry", action=TransitionAction.SEND),
-            "sends a request|none is alive|nothing takes|no place",
-        ),
+        (with_rule(machine, "a0()#0 retry", action=TransitionAction.SEND), "sends a request|none is alive|nothing takes|no place"),
         (with_rule(machine, "a0()#0 accepted", guard=Accepts(1)), "listens to another call"),
         (with_rule(machine, "goal_holds", guard=Always()), "without asking for the goal"),
         (with_rule(machine, "a0()#0 timed_out", guard=Due(1.0, (("start", 1.0),))), "counts from the marking of start"),
@@ -142,3 +160,94 @@ def ending_in(*finals: str, guard: Guard = Always()) -> Part:
 def test_orderings_that_contradict_each_other_are_refused() -> None:
     with pytest.raises(PlanGraphError, match="cycle"):
         plan(2, "0e<1s", "1e<0s")
+
+
+# --- blocks: the proof looks at every one, although they share templates ---
+
+
+def test_a_machine_is_the_same_if_no_block_shares_its_template() -> None:
+    with forgetting(""):  # the more machines were made before, the more templates are shared
+        for number in range(30):
+            assert as_text(random_machine(number, under_way=True)) == alone(number)
+
+
+@given(st.integers(0, 10_000))
+def test_arcs_by_number_are_those_by_name(number: int) -> None:
+    machine = random_machine(number)
+    by_blocks, by_name = machine.placed, written_out(machine).placed
+    assert (len(by_name.placed), by_name.regions) == (1, [])
+    for transition in range(len(machine.net.transitions)):
+        assert by_blocks.inputs[transition] == by_name.inputs[transition]
+        assert by_blocks.outputs[transition] == by_name.outputs[transition]
+    for place in range(len(machine.net.places)):
+        assert by_blocks.consumers[place] == by_name.consumers[place]
+    assert by_blocks.unmarked == by_name.unmarked
+    assert by_blocks.counted == by_name.counted
+
+
+@pytest.mark.parametrize("number", range(12))
+def test_the_proof_of_a_sample_is_that_of_the_whole(number: int) -> None:
+    machine = random_machine(number)
+    assert written_out(machine).generated is None
+    assert verify(machine) == verify(written_out(machine)) == verify(machine)  # and again, with what is known of its calls by then
+
+
+@pytest.mark.parametrize(
+    ("limit", "wrong", "why"),
+    [
+        ("timeout", inf, r"a2\(\)#2 running has no exit that is sure to open in finite time"),
+        ("release", 1.0, r"a2\(\)#2 join does not wait for the times"),
+    ],
+)
+def test_what_a_call_itself_says_is_looked_at_for_each(limit: str, wrong: float, why: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    graph = plan(4)
+    machine = generate(replace(graph, steps=tuple(replace(call, release=5.0 + call.index) for call in graph.calls)))
+    verify(machine)
+    right = getattr(CallTerms, limit).fget
+    monkeypatch.setattr(CallTerms, limit, property(lambda call: wrong if call.step.index == 2 else right(call)))
+    with pytest.raises(Unsound, match=why):
+        verify(machine)
+
+
+@pytest.mark.parametrize("edit", BLOCK_EDITS, ids=lambda edit: edit.__name__)
+def test_blocks_that_were_changed_are_unsound_or_prove_as_the_machine_that_they_make(edit: Edit) -> None:
+    refused = 0
+    for number in range(25):
+        machine, random = random_machine(number), Random(number)
+        try:
+            edit(blocks_of(machine), random)
+        except IndexError:  # there is nothing of that to be changed
+            continue
+        try:
+            verify(machine)
+        except Unsound:
+            refused += 1
+        else:
+            verify(written_out(machine))
+    assert refused > 3
+
+
+# --- guards: every kind has all of its traits, and every part of the program knows it ---
+
+
+KINDS: tuple[type[GuardKind], ...] = get_args(Guard)
+TRAITS = list(GuardKind.__annotations__)
+SAMPLES: list[Guard] = [
+    *(kind(7) for kind in KINDS if issubclass(kind, OfCall) and kind not in (Ends, Withheld)),  # type: ignore[call-arg, misc]
+    Ends(7, frozenset({OutcomeKind.LOST})),
+    Withheld(7, 2.0, None),
+]
+
+
+def test_each_kind_says_what_opens_it_and_what_it_reads() -> None:
+    assert set(OPENS) == set(KINDS), "pnm.core.execution.guards.OPENS says when each kind opens"
+    assert not [(kind.__name__, name) for kind in KINDS for name in TRAITS if not hasattr(kind, name)]
+
+
+@pytest.mark.parametrize("guard", SAMPLES)
+def test_about_another_call_a_guard_is_otherwise_the_same(guard: Guard) -> None:
+    other = guard.about(3)
+    assert isinstance(other, OfCall)
+    assert other.call == 3
+    assert other.about(7) == guard
+    assert other.proved == guard.proved

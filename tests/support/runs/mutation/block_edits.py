@@ -27,6 +27,12 @@ def ports(blocks: MachineBlocks, random: Random) -> None:
     blocks.placed[number] = replace(block, ports=tuple(map(tuple, found)))
 
 
+def places(blocks: MachineBlocks, random: Random) -> None:
+    number = random.randrange(len(blocks.placed))
+    block = blocks.placed[number]
+    blocks.placed[number] = replace(block, place=block.place + random.choice([-1, 1]))
+
+
 def steps(blocks: MachineBlocks, random: Random) -> None:
     one, other = (random.randrange(len(blocks.placed)) for _ in range(2))
     terms, title = blocks.placed[other].terms, blocks.placed[other].title
@@ -60,4 +66,4 @@ def parts(blocks: MachineBlocks, random: Random) -> None:
     blocks.placed[number] = replace(blocks.placed[number], template=template)
 
 
-BLOCK_EDITS: Final[tuple[Edit, ...]] = (ports, steps, templates, regions, parts)
+BLOCK_EDITS: Final[tuple[Edit, ...]] = (ports, places, steps, templates, regions, parts)

@@ -1,4 +1,4 @@
-"""The proof looks at what each call asks, watches, holds and counts, whatever its block was made by."""
+"""The proof looks at what each call asks, watches, holds and counts, and at what orderings say, whatever the blocks were made by."""
 
 from __future__ import annotations
 
@@ -13,16 +13,17 @@ from pnm.core.logic.expressions import Constant
 from pnm.core.machine.bindings import Binding, Bindings
 from pnm.core.machine.failure_causes import Cause, Phase
 from pnm.core.machine.generate import generate
-from pnm.core.machine.guards import After, ConditionFalse, ConditionTrue, Guard, InvariantFalse
+from pnm.core.machine.guards import After, Always, ConditionFalse, ConditionTrue, Guard, InvariantFalse
 from pnm.core.machine.machine import PetriNetMachine
 from pnm.core.machine.plan_graph import EMPTY, ActionCall, Flow, GroundAction, PlanGraph, Recovery, Then
 from pnm.core.machine.verification.call_content import WATCHES, AskedOf, traits
 from pnm.core.machine.verification.part import CallRule, Unsound
 from pnm.core.machine.verification.verify import net_of, verify
 from pnm.core.net.net import Marking, PetriNet, Weights
-from tests.support.runs.mutation.changes import with_outputs, with_rule, without_transition
+from tests.support.runs.mutation.changes import with_output, with_outputs, with_rule, without_output, without_place, without_transition
 from tests.support.runs.mutation.forgotten import TRAITS, run_forgotten
 from tests.support.runs.mutation.machines import written_out
+from tests.support.runs.plan_graphs import ordering, plan
 
 OK, WET = Holds(("ok",)), Holds(("wet",))
 
@@ -127,3 +128,60 @@ def test_a_recovery_that_leads_to_itself_is_refused() -> None:
     verify(machine)
     with pytest.raises(Unsound, match="not of the form that a machine has"):
         verify(with_outputs(machine, "a0()#0 retry 0", {"a0()#0 recovering 0": 1}))
+
+
+# --- orderings: what they say is looked for in the net ---
+
+
+KINDS = ["0e<1s", "0s<1s", "0e<1e", "0s<1e"]
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_an_ordering_whose_place_is_cut_out_is_missed(kind: str) -> None:
+    machine = generate(plan(3, kind, "0e<2s", "1e<2s"))
+    verify(machine)
+    place = next(place for place, one in machine.orderings.items() if one == ordering(kind))
+    with pytest.raises(Unsound, match="no place keeps"):
+        verify(without_place(machine, place))
+
+
+def test_the_machine_of_another_plan_is_refused() -> None:
+    machine = generate(plan(2))
+    with pytest.raises(Unsound, match="no place keeps end of #0 < start of #1"):
+        verify(replace(machine, plan=plan(2, "0e<1s")))
+    with pytest.raises(Unsound, match="does not ask for"):
+        verify(replace(generate(plan(2, "0e<1s")), plan=plan(2)))
+    with pytest.raises(Unsound, match="not those of a region"):
+        verify(replace(machine, plan=plan(1)))
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("claimed", KINDS)
+def test_a_place_that_is_taken_for_another_ordering_is_refused(kind: str, claimed: str) -> None:
+    machine = generate(plan(2, kind))
+    (place,) = machine.orderings
+    other = replace(machine, plan=plan(2, claimed), orderings={place: ordering(claimed)})
+    is_weaker = (kind[1], claimed[1]) == ("e", "s") and kind[-1] == claimed[-1]  # what waits for an end has waited for the start
+    if kind == claimed:
+        verify(other)
+    elif not is_weaker:
+        with pytest.raises(Unsound):
+            verify(other)
+
+
+def test_a_start_that_is_announced_before_the_request_is_refused() -> None:
+    machine = generate(plan(2, "0s<1s"))
+    (place,) = machine.orderings
+    with pytest.raises(Unsound):
+        verify(with_output(without_output(machine, "a0()#0 accepted", place), "a0()#0 start", place))
+
+
+@pytest.mark.parametrize("delay", [0.0, 2.0])
+def test_a_time_that_is_not_waited_for_is_missed(delay: float) -> None:
+    first, second = plan(2).calls
+    released = replace(second, release=0.0 if delay else 5.0)
+    graph = replace(plan(2), steps=(first, released), orderings=(replace(ordering("0s<1s"), delay=delay),))
+    machine = generate(graph)
+    verify(machine)
+    with pytest.raises(Unsound, match="does not wait for the times"):
+        verify(with_rule(machine, "a1()#1 join", guard=Always()))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from itertools import pairwise
 
 import pytest
 
@@ -14,20 +15,10 @@ from pnm.core.machine.failure_causes import Cause
 from pnm.core.machine.generate import generate
 from pnm.core.machine.guards import Always, ConditionFalse, ConditionTrue, DataMissing, Rule
 from pnm.core.machine.machine import PetriNetMachine
-from pnm.core.machine.plan_graph import (
-    ActionCall,
-    Choice,
-    Flow,
-    GroundAction,
-    Loop,
-    PlanGraph,
-    PlanGraphError,
-    Recovery,
-    Then,
-)
+from pnm.core.machine.plan_graph import ActionCall, Choice, Flow, GroundAction, Loop, PlanGraph, PlanGraphError, Recovery, Then
 from pnm.core.machine.requests import CallOutcome, TransitionAction
 from pnm.core.machine.verification.part import Unsound
-from pnm.core.machine.verification.verify import explore, verify
+from pnm.core.machine.verification.verify import explore, forget_proofs, verify
 from pnm.core.net.net import Marking, PetriNet
 from pnm.core.resources import CapacityError, Resources
 from pnm.errors import InputError
@@ -71,10 +62,7 @@ UNSOUND: dict[str, tuple[PetriNetMachine, str]] = {
         "no place keeps|nothing waits for the end of step 0|goal is marked although|failed is marked although",
     ),
     "a report without input": (with_inputs(CHAIN, "a0()#0 withdrawn", {}), "does not take just the one token of its call"),
-    "a report with two inputs": (
-        with_input(CHAIN, "a0()#0 succeeded", "a0()#0 ready"),
-        "does not take just the one token of its call",
-    ),
+    "a report with two inputs": (with_input(CHAIN, "a0()#0 succeeded", "a0()#0 ready"), "does not take just the one token of its call"),
     "a place that is goal and budget": (replace(CHAIN, budget_places=CHAIN.budget_places | {"goal"}), "two roles"),
     "a place that is failure and resource": (replace(CHAIN, resource_places={"a0()#0 failed": "arm"}), "two roles"),
     "a goal after a failure": (without_transition(CHAIN, "ended_by_failure"), "goal is marked although the run is ending"),
@@ -100,10 +88,7 @@ UNSOUND: dict[str, tuple[PetriNetMachine, str]] = {
         replace(CHAIN, alive_places=CHAIN.alive_places - {"a0()#0 running"}),
         "no place is marked that says so",
     ),
-    "a failure that is taken back": (
-        with_input(CHAIN, "a0()#0 fork", "a0()#0 failed"),
-        "which stays as it is",
-    ),
+    "a failure that is taken back": (with_input(CHAIN, "a0()#0 fork", "a0()#0 failed"), "which stays as it is"),
     "a failure of a loop without a cause": (
         with_rule(LOOP, "while((free))#1 condition_unknown", guard=Always()),
         "marks a failure, and no rule has found its cause",
@@ -244,3 +229,55 @@ def test_transitions_that_can_never_fire_are_listed_with_the_reason() -> None:
 def test_a_step_that_can_never_begin_is_refused() -> None:
     with pytest.raises(Unsound, match="step 1 of the plan can never begin"):
         verify(with_outputs(COUNTING, "a0()#0 rejected", {"a0()#0 recover": 1}))
+
+
+# --- counters: the work grows with the recoveries of a call, not with their combinations, and nothing that hangs gets through ---
+
+
+CAUSES = (
+    *(Cause.ABORTED, Cause.CANCELED, Cause.REJECTED, Cause.UNAVAILABLE, Cause.TIMED_OUT, Cause.LOST),
+    *(Cause.DATA_MISSING, Cause.PRECONDITION_FALSE, Cause.EFFECTS_MISSING, Cause.BEFORE, Cause.AFTER),
+)
+
+
+def recovering(count: int, times: int = 3) -> PetriNetMachine:
+    chains = [Flow((ActionCall(index + 1, GroundAction("wait")),)) for index in range(count)]
+    recoveries = tuple(Recovery(frozenset({cause}), Then.RETRY, chain, times) for cause, chain in zip(CAUSES, chains, strict=False))
+    return generate(PlanGraph((ActionCall(0, GroundAction("a"), recoveries=recoveries),)))
+
+
+def states(machine: PetriNetMachine) -> int:
+    forget_proofs()
+    return verify(machine).states
+
+
+def test_every_recovery_costs_the_proof_about_the_same() -> None:
+    found = [states(recovering(count)) for count in range(1, len(CAUSES) + 1)]
+    steps = [after - before for before, after in pairwise(found)]
+    assert max(steps) <= 5 * min(steps)
+    assert found[-1] < 1_000
+
+
+def test_how_often_makes_no_difference() -> None:
+    assert states(recovering(2, 2)) == states(recovering(2, 50))
+
+
+@pytest.mark.parametrize("times", [1, 2, 3])
+@pytest.mark.parametrize("gone", ["a()#0 give_up 0", "a()#0 recover 0"])
+def test_a_counter_that_runs_out_needs_another_way(times: int, gone: str) -> None:
+    broken = without_transition(recovering(1, times), gone)
+    with pytest.raises(Unsound):
+        explore(broken)
+    with pytest.raises(Unsound):
+        verify(broken)
+
+
+@pytest.mark.parametrize("prove", [verify, explore])
+def test_what_is_counted_back_while_it_is_counted_is_refused(prove: Callable[[PetriNetMachine], object]) -> None:
+    machine = recovering(1)
+    net, name, more = machine.net, "a()#0 retry 0", "a()#0 retry for ever"
+    inputs = {more: {**net.inputs[name], "a()#0 uses spent 0": 1}, **net.inputs}
+    outputs = {more: {**net.outputs[name], "a()#0 uses left 0": 1}, **net.outputs}
+    endless = replace(machine, net=PetriNet(net.places, inputs, outputs), rules={more: machine.rules[name], **machine.rules})
+    with pytest.raises(Unsound, match="for ever"):
+        prove(endless)
