@@ -115,14 +115,6 @@ signals.LAST_WORDS.belong_to_program(lambda: print("last words", flush=True))
 async def work():
 """
 HANGING = {
-    "awaits": """
-    print("begun", flush=True)
-    while True:
-        try:
-            await asyncio.Event().wait()
-        except asyncio.CancelledError:
-            print("cancelled", flush=True)
-""",
     "awaits at its end": """
     print("begun", flush=True)
     try:
@@ -134,20 +126,6 @@ HANGING = {
                 await asyncio.Event().wait()
             except asyncio.CancelledError:
                 pass
-""",
-    "computes": """
-    def received(number, frame, receive=signals.signal.getsignal(15)):
-        receive(number, frame)
-        print("cancelled", flush=True)  # now the next signal is another one, even if it comes while this is printed
-
-    signals.signal.signal(15, received)
-    while True:
-        try:
-            print("begun", flush=True)  # where an interruption is caught
-            while True:
-                pass
-        except KeyboardInterrupt:
-            pass
 """,
     "has a thread that does not end": """
     threading.Thread(target=threading.Event().wait).start()

@@ -75,11 +75,7 @@ def foreign_database(path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("spoil", "said"),
-    [
-        (corrupt, "file is not a database"),
-        (foreign_database, "a database of something else"),
-        (Path.mkdir, "it is no file"),
-    ],
+    [(corrupt, "file is not a database"), (foreign_database, "a database of something else"), (Path.mkdir, "it is no file")],
 )
 def test_a_file_that_is_no_knowledge_is_an_error_and_left_as_it_is(tmp_path: Path, spoil: Any, said: str) -> None:
     file = tmp_path / "kb.sqlite"
