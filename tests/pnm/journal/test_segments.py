@@ -12,7 +12,6 @@ import pytest
 
 from planner_bridge.tasks.result import TASKS
 from planner_bridge.tasks.settings import Settings
-from pnm.clock import run_async
 from pnm.core.execution.events import Begin
 from pnm.core.knowledge_base import KnowledgeBase, Layered
 from pnm.core.logic.conditions import Holds, Not
@@ -32,7 +31,6 @@ from pnm.tasks import Code, TaskEnding, Wanted
 from tests.support.pddl.problems import fleet
 from tests.support.runs.simulation.disk import DEATHS, DiskPlan
 from tests.support.tasks.scenarios.crash import survive
-from tests.support.tasks.scenarios.random_deaths import run_deaths
 
 GOALS = tuple(Wanted(UUID(int=number + 1), text) for number, text in enumerate(("(in p0 a2)", "(at r1 a3)", "(in p0 a1)")))
 QUICK = Settings(improve=0.0)
@@ -57,45 +55,37 @@ def test_what_is_known_in_the_last_segment_is_what_all_segments_lead_to(tmp_path
     assert {id: task.ending for id, task in last.tasks.items()} == {id: task.ending for id, task in whole.tasks.items()}
 
 
-def test_a_process_that_stands_by_knows_no_more_than_one_that_reads_the_last_segment(tmp_path: Path) -> None:
+async def test_a_process_that_stands_by_knows_no_more_than_one_that_reads_the_last_segment(tmp_path: Path) -> None:
     """What it knew besides would be missing in the segment that it goes on with, for the process after it."""
-
-    async def main() -> None:
-        journal, world = WrittenJournal(JournalFile(tmp_path / "j", 0.0), TASKS), KnowledgeBase()
-        journal.begin(world, Resources())
-        follower = Follower(tmp_path / "j", TASKS)
-        acts = PlanGraph((ActionCall(0, GroundAction("act")),))
-        run = journal.make_run(generate(acts), Layered(world), id=UUID(int=1), bindings=Bindings(), goal_fields=lambda _: ("action",))
-        journal.handle(run, Begin(), 0.0, lambda _: None)
-        await asyncio.sleep(0.1)
-        follower.catch_up()
-        assert follower.replay.fields == {"act()": ("action",)}
-        journal.retired(run)
-        run.retire()
-        journal.begin(world, Resources())
-        await asyncio.sleep(0.1)
-        follower.catch_up()
-        fresh = replayed(tmp_path / "j", TASKS)
-        for known in (follower.replay, fresh):
-            assert (known.fields, known.runs, known.requests, known.tasks) == ({}, {}, {}, {})
-        follower.close()
-        journal.close()
-
-    run_async(main(), virtual=True)
+    journal, world = WrittenJournal(JournalFile(tmp_path / "j", 0.0), TASKS), KnowledgeBase()
+    journal.begin(world, Resources())
+    follower = Follower(tmp_path / "j", TASKS)
+    acts = PlanGraph((ActionCall(0, GroundAction("act")),))
+    run = journal.make_run(generate(acts), Layered(world), id=UUID(int=1), bindings=Bindings(), goal_fields=lambda _: ("action",))
+    journal.handle(run, Begin(), 0.0, lambda _: None)
+    await asyncio.sleep(0.1)
+    follower.catch_up()
+    assert follower.replay.fields == {"act()": ("action",)}
+    journal.retired(run)
+    run.retire()
+    journal.begin(world, Resources())
+    await asyncio.sleep(0.1)
+    follower.catch_up()
+    fresh = replayed(tmp_path / "j", TASKS)
+    for known in (follower.replay, fresh):
+        assert (known.fields, known.runs, known.requests, known.tasks) == ({}, {}, {}, {})
+    follower.close()
+    journal.close()
 
 
-def test_another_world_is_no_change_of_the_one_before(tmp_path: Path) -> None:
+async def test_another_world_is_no_change_of_the_one_before(tmp_path: Path) -> None:
     near, far = ("near",), ("far",)
-
-    async def main() -> None:
-        journal, world = WrittenJournal(JournalFile(tmp_path / "j", 0.0), TASKS), KnowledgeBase()
-        world.begin_anew({near: True}, {}, Rules((DerivationRule("far", (), Not(Holds(near))),)))
-        journal.begin(world, Resources())
-        journal.begin(world, Resources(), lambda: world.begin_anew({far: True}, {}, NO_RULES))  # which was derived before
-        world.update({near: True})
-        journal.close()
-
-    run_async(main(), virtual=True)
+    journal, world = WrittenJournal(JournalFile(tmp_path / "j", 0.0), TASKS), KnowledgeBase()
+    world.begin_anew({near: True}, {}, Rules((DerivationRule("far", (), Not(Holds(near))),)))
+    journal.begin(world, Resources())
+    journal.begin(world, Resources(), lambda: world.begin_anew({far: True}, {}, NO_RULES))  # which was derived before
+    world.update({near: True})
+    journal.close()
     whole = Replay()
     deltas = [step.record for step in replay_steps(tmp_path / "j", TASKS, whole) if isinstance(step.record, KnowledgeDelta)]
     assert deltas == [KnowledgeDelta(0, {near: True})]
@@ -115,43 +105,34 @@ def test_tasks_in_turn_survive_a_death_before_during_or_after_every_commit(tmp_p
             return
 
 
-@pytest.mark.usefixtures("short")
-@pytest.mark.parametrize("number", range(100, 103))
-def test_random_tasks_survive_random_deaths_with_many_segments(number: int, tmp_path: Path) -> None:
-    run_deaths(number, tmp_path)
-
-
-def test_records_of_the_past_are_dropped_while_there_is_nothing_to_do(tmp_path: Path) -> None:
+async def test_records_of_the_past_are_dropped_while_there_is_nothing_to_do(tmp_path: Path) -> None:
     class Looking(Hold):
         look: Callable[[], None]
 
         def keep(self, renewed: Callable[[], None], fenced: Callable[[Fenced], None]) -> None:
             self.look = renewed
 
-    async def main() -> None:
-        wall, hold, path = 0.0, Looking(), tmp_path / "j"
-        file = JournalFile(path, wall)
-        journal, world = WrittenJournal(file, TASKS, kept=7 * DAY, hold=hold, wall=lambda: wall), KnowledgeBase()
-        journal.begin(world, Resources())
-        secret = Wanted(UUID(int=1), "(open door1)")
-        journal.accepted(secret, 1)
-        world.update({("said",): "secret"})
-        world.update({("said",): "nothing"})
-        for hours in range(10 * 24):
-            wall = hours * DAY / 24
-            if hours == 1:
-                journal.over(secret.id, TaskEnding(Code.CANCELLED, "by its client"))
-            hold.look()
-            kept = KeptJournal(path)
-            texts = "".join(row.text for _, row in kept.rows())
-            assert ("secret" in texts) or wall > 7 * DAY, "it is kept for as long as was said"
-            segments = len(kept.segments())
-            kept.close()
-        assert "secret" not in texts
-        assert segments == 1, "nothing begins while nothing is new"
-        journal.close()
-
-    run_async(main(), virtual=True)
+    wall, hold, path = 0.0, Looking(), tmp_path / "j"
+    file = JournalFile(path, wall)
+    journal, world = WrittenJournal(file, TASKS, kept=7 * DAY, hold=hold, wall=lambda: wall), KnowledgeBase()
+    journal.begin(world, Resources())
+    secret = Wanted(UUID(int=1), "(open door1)")
+    journal.accepted(secret, 1)
+    world.update({("said",): "secret"})
+    world.update({("said",): "nothing"})
+    for hours in range(10 * 24):
+        wall = hours * DAY / 24
+        if hours == 1:
+            journal.over(secret.id, TaskEnding(Code.CANCELLED, "by its client"))
+        hold.look()
+        kept = KeptJournal(path)
+        texts = "".join(row.text for _, row in kept.rows())
+        assert ("secret" in texts) or wall > 7 * DAY, "it is kept for as long as was said"
+        segments = len(kept.segments())
+        kept.close()
+    assert "secret" not in texts
+    assert segments == 1, "nothing begins while nothing is new"
+    journal.close()
 
 
 @pytest.mark.usefixtures("short")
@@ -171,16 +152,13 @@ def test_records_of_the_past_are_dropped_and_its_tasks_are_listed(tmp_path: Path
     assert len(replayed(tmp_path / "j", TASKS).tasks) == 20  # which clients may still ask for
 
 
-def test_what_is_heard_after_the_end_is_left_to_the_next_process(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    async def main() -> None:
-        journal, world = WrittenJournal(JournalFile(tmp_path / "j", 0.0), TASKS), KnowledgeBase()
-        journal.begin(world, Resources())
-        world.update({("at", "r1", "a"): True})
-        journal.close()
-        world.update({("at", "r1", "b"): True})
-        await asyncio.sleep(0.1)
-        assert not journal.blocked
-
-    run_async(main(), virtual=True)
+async def test_what_is_heard_after_the_end_is_left_to_the_next_process(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    journal, world = WrittenJournal(JournalFile(tmp_path / "j", 0.0), TASKS), KnowledgeBase()
+    journal.begin(world, Resources())
+    world.update({("at", "r1", "a"): True})
+    journal.close()
+    world.update({("at", "r1", "b"): True})
+    await asyncio.sleep(0.1)
+    assert not journal.blocked
     assert not caplog.records
     assert replayed(tmp_path / "j", TASKS).world.facts() == {("at", "r1", "a"): True}

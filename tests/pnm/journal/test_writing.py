@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable, Coroutine, Mapping, Sequence
+from collections.abc import AsyncIterator, Callable, Mapping, Sequence
+from contextlib import asynccontextmanager
 from pathlib import Path
 from uuid import UUID
 
 import pytest
 
-from pnm.clock import run_async
 from pnm.core.execution.events import Begin, Cancel, Command, Event, Send, Stop, Tick
 from pnm.core.knowledge_base import KnowledgeBase, Layered
 from pnm.core.machine.bindings import Bindings
@@ -90,31 +90,27 @@ class Deployment:
         return sum(isinstance(step.record, Happened) for step in replay_steps(self.path, RECORDS, Replay()))
 
 
+@asynccontextmanager
+async def deployed(path: Path, *orders: str) -> AsyncIterator[Deployment]:
+    """A deployment, whose journal is closed afterwards."""
+    deployment = Deployment(path, *orders)
+    yield deployment
+    deployment.journal.close()
+
+
 @pytest.fixture
-def deployed(tmp_path: Path) -> Callable[..., Replay]:
-    """Carry out a course of a deployment, on virtual time, and return the replay of its journal."""
-
-    def carry_out(course: Callable[[Deployment], Coroutine[object, object, None]], *orders: str) -> Replay:
-        async def main() -> None:
-            deployment = Deployment(tmp_path / "j", *orders)
-            await course(deployment)
-            deployment.journal.close()
-
-        run_async(main(), virtual=True)
-        return replayed(tmp_path / "j", RECORDS)
-
-    return carry_out
+def path(tmp_path: Path) -> Path:
+    return tmp_path / "j"
 
 
-Deployed = Callable[..., Replay]
 IN_TURN = "0e<1s"
 
 
 # --- a disk that is full ---
 
 
-def test_nothing_is_sent_until_it_is_kept(deployed: Deployed) -> None:
-    async def course(deployment: Deployment) -> None:
+async def test_nothing_is_sent_until_it_is_kept(path: Path) -> None:
+    async with deployed(path, IN_TURN) as deployment:
         deployment.handle(Begin())
         assert deployment.sent == ["first"]
         deployment.file.is_full = True
@@ -127,13 +123,12 @@ def test_nothing_is_sent_until_it_is_kept(deployed: Deployed) -> None:
         await asyncio.sleep(2.0)
         assert deployment.sent == ["first", "second"]
         assert not deployment.journal.blocked
-
-    replay = deployed(course, IN_TURN)
+    replay = replayed(path, RECORDS)
     assert [str(request.action) for request in replay.requests.values()] == ["first()", "second()"]
 
 
-def test_what_is_only_heard_is_committed_with_what_comes_next_or_a_moment_later(deployed: Deployed) -> None:
-    async def course(deployment: Deployment) -> None:
+async def test_what_is_only_heard_is_committed_with_what_comes_next_or_a_moment_later(path: Path) -> None:
+    async with deployed(path, IN_TURN) as deployment:
         deployment.handle(Begin())
         (first,) = deployment.run.open_requests
         deployment.handle(Accepted(first))
@@ -149,11 +144,9 @@ def test_what_is_only_heard_is_committed_with_what_comes_next_or_a_moment_later(
         assert deployment.run.over
         assert deployment.kept() == 5, "nobody hears of an end that is not kept"
 
-    deployed(course, IN_TURN)
 
-
-def test_what_runs_can_be_cancelled_meanwhile_and_what_waits_is_not_cancelled_before_it_is_sent(deployed: Deployed) -> None:
-    async def course(deployment: Deployment) -> None:
+async def test_what_runs_can_be_cancelled_meanwhile_and_what_waits_is_not_cancelled_before_it_is_sent(path: Path) -> None:
+    async with deployed(path, IN_TURN) as deployment:
         deployment.handle(Begin())
         (first,) = deployment.run.open_requests
         deployment.file.is_full = True
@@ -168,11 +161,9 @@ def test_what_runs_can_be_cancelled_meanwhile_and_what_waits_is_not_cancelled_be
         assert kinds == [Send, Send, *[Cancel] * len(deployment.cancelled)]
         assert set(deployment.cancelled) <= {second}
 
-    deployed(course, IN_TURN)
 
-
-def test_a_task_is_accepted_as_soon_as_there_is_space_though_nothing_else_was_to_be_kept(deployed: Deployed) -> None:
-    async def course(deployment: Deployment) -> None:
+async def test_a_task_is_accepted_as_soon_as_there_is_space_though_nothing_else_was_to_be_kept(path: Path) -> None:
+    async with deployed(path) as deployment:
         await asyncio.sleep(1.0)
         deployment.file.is_full = True
         for _ in range(2):
@@ -181,12 +172,11 @@ def test_a_task_is_accepted_as_soon_as_there_is_space_though_nothing_else_was_to
             await asyncio.sleep(10.0)
         deployment.file.is_full = False
         deployment.journal.accepted(Wanted(UUID(int=3), "(open door1)"), 2)
+    assert [*replayed(path, RECORDS).tasks] == [UUID(int=3)]
 
-    assert [*deployed(course).tasks] == [UUID(int=3)]
 
-
-def test_a_full_disk_is_tried_once_a_second_however_much_is_to_be_kept(deployed: Deployed) -> None:
-    async def course(deployment: Deployment) -> None:
+async def test_a_full_disk_is_tried_once_a_second_however_much_is_to_be_kept(path: Path) -> None:
+    async with deployed(path) as deployment:
         deployment.handle(Begin())
         deployment.file.is_full = True
         for _ in range(100):
@@ -200,13 +190,10 @@ def test_a_full_disk_is_tried_once_a_second_however_much_is_to_be_kept(deployed:
         await asyncio.sleep(10.0)
         assert deployment.file.refused == refused, "it is closed"
 
-    deployed(course)
 
-
-def test_nobody_hears_how_a_task_has_ended_before_that_is_kept(deployed: Deployed) -> None:
+async def test_nobody_hears_how_a_task_has_ended_before_that_is_kept(path: Path) -> None:
     ending = TaskEnding(Code.CANCELLED, "by its client")
-
-    async def course(deployment: Deployment) -> None:
+    async with deployed(path) as deployment:
         heard = list[str]()
         deployment.journal.accepted(Wanted(UUID(int=1), "goal"), 1)
         deployment.file.is_full = True
@@ -216,15 +203,14 @@ def test_nobody_hears_how_a_task_has_ended_before_that_is_kept(deployed: Deploye
         deployment.file.is_full = False
         await asyncio.sleep(2.0)
         assert heard == ["over"]
-
-    assert [task.ending for task in deployed(course).tasks.values()] == [ending]
+    assert [task.ending for task in replayed(path, RECORDS).tasks.values()] == [ending]
 
 
 # --- a process that may not be the one any more ---
 
 
-def test_nothing_leaves_while_the_lease_may_be_over_and_all_of_it_when_it_is_renewed(deployed: Deployed) -> None:
-    async def course(deployment: Deployment) -> None:
+async def test_nothing_leaves_while_the_lease_may_be_over_and_all_of_it_when_it_is_renewed(path: Path) -> None:
+    async with deployed(path) as deployment:
         hold = deployment.hold
         hold.mine = False  # as for a process that was stopped between its commit and what follows from it
         deployment.handle(Begin())
@@ -242,14 +228,11 @@ def test_nothing_leaves_while_the_lease_may_be_over_and_all_of_it_when_it_is_ren
         hold.renewed()
         assert len(deployment.cancelled) == 2
 
-    deployed(course)
-
 
 @pytest.mark.parametrize("is_told", [True, False], ids=["by the lease", "by a commit"])
-def test_a_process_whose_journal_was_taken_over_does_nothing_any_more(deployed: Deployed, is_told: bool) -> None:
+async def test_a_process_whose_journal_was_taken_over_does_nothing_any_more(path: Path, is_told: bool) -> None:
     kept: list[object] = []
-
-    async def course(deployment: Deployment) -> None:
+    async with deployed(path) as deployment:
         deployment.handle(Begin())
         assert deployment.sent == ["first", "second"]
         JournalFile(deployment.path, 0.0).close()
@@ -266,5 +249,4 @@ def test_a_process_whose_journal_was_taken_over_does_nothing_any_more(deployed: 
         assert len(deployment.fenced) == 1
         with pytest.raises(JournalError, match="taken over"):
             deployment.journal.accepted(Wanted(UUID(int=2), "late"), 1)
-
-    assert [deployed(course).requests] == kept
+    assert [replayed(path, RECORDS).requests] == kept

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import re
-from collections.abc import Callable, Coroutine
-from functools import wraps
 from pathlib import Path
 from uuid import UUID
 
@@ -14,7 +12,6 @@ import pytest
 from planner_bridge.tasks.result import TASKS
 from planner_bridge.tasks.task_manager import TaskLimits
 from pnm.actions.faults import Fault, FaultKind, Faults
-from pnm.clock import run_async
 from pnm.core.knowledge_base import KnowledgeBase
 from pnm.core.machine.bindings import Binding
 from pnm.core.resources import Resources
@@ -38,17 +35,6 @@ plan: [move: {r: r1, from: a1, to: a2}, move: {r: r1, from: a2, to: a3}]
 """
 
 
-def virtual(test: Callable[[Path], Coroutine[object, object, None]]) -> Callable[[Path], None]:
-    """Have a test run on virtual time."""
-
-    @wraps(test)
-    def run(tmp_path: Path) -> None:
-        run_async(test(tmp_path), virtual=True)
-
-    return run
-
-
-@virtual
 async def test_a_plan_that_was_paused_sends_nothing_in_the_next_process_before_it_is_resumed(tmp_path: Path) -> None:
     task = Wanted(UUID(int=1), "round", is_plan=True)
     (plan,) = parse_plans(ROUND).values()
@@ -66,7 +52,6 @@ async def test_a_plan_that_was_paused_sends_nothing_in_the_next_process_before_i
         assert heard.endings[task.id].code is Code.GOAL_REACHED
 
 
-@virtual
 async def test_a_task_that_was_paused_because_its_node_was_inactive_goes_on_in_the_next_process(tmp_path: Path) -> None:
     lives = Successors(tmp_path, GOALS)
     async with lives.begun() as (manager, heard):
@@ -78,7 +63,6 @@ async def test_a_task_that_was_paused_because_its_node_was_inactive_goes_on_in_t
         assert heard.endings[FAR.id].code is Code.GOAL_REACHED
 
 
-@virtual
 async def test_a_task_that_has_begun_goes_on_before_those_of_higher_priority_that_waited(tmp_path: Path) -> None:
     waiting, lives = Wanted(UUID(int=2), "r1 there", priority=5), Successors(tmp_path, GOALS, limits=TaskLimits(active=1))
     async with lives.begun() as (manager, heard):
@@ -93,7 +77,6 @@ async def test_a_task_that_has_begun_goes_on_before_those_of_higher_priority_tha
         assert [*heard.endings] == [FAR.id, waiting.id]
 
 
-@virtual
 async def test_a_task_that_was_over_is_over_in_the_next_process_and_one_that_goes_on_has_ended_as_many_calls(tmp_path: Path) -> None:
     past, going_on, lives = Wanted(UUID(int=2), "r0 there"), FAR, Successors(tmp_path, GOALS)
     async with lives.begun() as (manager, heard):
@@ -116,7 +99,6 @@ async def test_a_task_that_was_over_is_over_in_the_next_process_and_one_that_goe
         assert {status.id: status.ended for status in second.manager.status()} == {past.id: 2, going_on.id: 2}
 
 
-@virtual
 async def test_what_a_task_has_begun_that_means_nothing_any_more_is_recalled_and_its_resources_are_free_then(tmp_path: Path) -> None:
     lives = Successors(tmp_path, GOALS)
     async with lives.begun() as (manager, heard):
@@ -139,7 +121,6 @@ async def test_what_a_task_has_begun_that_means_nothing_any_more_is_recalled_and
         await heard.over.wait()
 
 
-@virtual
 async def test_what_a_request_has_kept_that_was_given_up_is_free_when_its_server_says_that_it_is_over(tmp_path: Path) -> None:
     slow = Faults((Fault("move(r1, a1, a2)", FaultKind.SLOW, ignores_cancel=True),))
     lives = Successors(tmp_path, GOALS, Binding(resources=("{r}",), timeout=2.0, cancel=1.0, retries=0), slow)
@@ -157,7 +138,6 @@ async def test_what_a_request_has_kept_that_was_given_up_is_free_when_its_server
     assert any(isinstance(step.record, EndConfirmed) for step in replay_steps(lives.journal, TASKS, Replay()))
 
 
-@virtual
 async def test_what_is_sensed_later_is_sensed_in_the_next_process(tmp_path: Path) -> None:
     journal, world = WrittenJournal(JournalFile(tmp_path / "j", 0.0), RECORDS), KnowledgeBase()
     journal.begin(world, Resources())
@@ -169,7 +149,6 @@ async def test_what_is_sensed_later_is_sensed_in_the_next_process(tmp_path: Path
     assert (after.sensed_names(), after.variables()) == ({"at": 2.0, "open": 0.0}, {"x": 1})
 
 
-@virtual
 async def test_the_status_says_when_and_why_the_plan_was_replaced_last(tmp_path: Path) -> None:
     lives = Successors(tmp_path, GOALS, Binding(resources=("{r}",), retries=0), Faults((Fault("move", FaultKind.ABORT, times=1),)))
     async with lives.begun() as (manager, heard):

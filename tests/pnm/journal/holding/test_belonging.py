@@ -12,7 +12,6 @@ from uuid import UUID
 
 import pytest
 
-from pnm.clock import run_async
 from pnm.core.knowledge_base import KnowledgeBase
 from pnm.core.resources import Resources
 from pnm.errors import InputError, PnmError
@@ -235,44 +234,40 @@ class Looking(Hold):
         self.look = renewed
 
 
-def lost_and_found(path: Path, lose: Callable[[Path], None], find: Callable[[Path], None]) -> None:
+async def lost_and_found(path: Path, lose: Callable[[Path], None], find: Callable[[Path], None]) -> None:
     """Lose a journal under a process that writes it, and find it again."""
-
-    async def main() -> None:
-        hold = Looking()
-        journal = WrittenJournal(JournalFile(path, 0.0), RECORDS, hold=hold)
-        journal.begin(KnowledgeBase(), Resources())
-        journal.accepted(Wanted(UUID(int=1), "before"), 1)
-        lose(path)
-        hold.look()
-        assert journal.blocked, "although nothing was to be written"
-        with pytest.raises(JournalError, match=rf"{path.name}.*(it was deleted or moved|it was replaced)"):
-            journal.accepted(Wanted(UUID(int=2), "meanwhile"), 2)
-        find(path)
-        hold.look()
-        assert not journal.blocked
-        journal.accepted(Wanted(UUID(int=3), "after"), 3)
-        journal.close()
-
-    run_async(main(), virtual=True)
+    hold = Looking()
+    journal = WrittenJournal(JournalFile(path, 0.0), RECORDS, hold=hold)
+    journal.begin(KnowledgeBase(), Resources())
+    journal.accepted(Wanted(UUID(int=1), "before"), 1)
+    lose(path)
+    hold.look()
+    assert journal.blocked, "although nothing was to be written"
+    with pytest.raises(JournalError, match=rf"{path.name}.*(it was deleted or moved|it was replaced)"):
+        journal.accepted(Wanted(UUID(int=2), "meanwhile"), 2)
+    find(path)
+    hold.look()
+    assert not journal.blocked
+    journal.accepted(Wanted(UUID(int=3), "after"), 3)
+    journal.close()
     assert [task.accepted.wanted.text for task in replayed(path, RECORDS).tasks.values()] == ["before", "after"]
 
 
 @pytest.mark.parametrize("number", range(3))
-def test_a_file_that_is_deleted_or_moved_under_a_node_blocks_it_until_it_is_back(number: int, tmp_path: Path) -> None:
+async def test_a_file_that_is_deleted_or_moved_under_a_node_blocks_it_until_it_is_back(number: int, tmp_path: Path) -> None:
     def lose(path: Path) -> None:
         os.link(files_of(path)[number], tmp_path / "kept")
         files_of(path)[number].unlink()
 
-    lost_and_found(tmp_path / "tasks.journal", lose, lambda path: (tmp_path / "kept").rename(files_of(path)[number]))
+    await lost_and_found(tmp_path / "tasks.journal", lose, lambda path: (tmp_path / "kept").rename(files_of(path)[number]))
 
 
-def test_a_file_that_is_replaced_under_a_node_blocks_it(tmp_path: Path) -> None:
+async def test_a_file_that_is_replaced_under_a_node_blocks_it(tmp_path: Path) -> None:
     def lose(path: Path) -> None:
         path.rename(tmp_path / "kept")
         shutil.copy(tmp_path / "kept", path)
 
-    lost_and_found(tmp_path / "tasks.journal", lose, lambda path: (tmp_path / "kept").rename(path))
+    await lost_and_found(tmp_path / "tasks.journal", lose, lambda path: (tmp_path / "kept").rename(path))
 
 
 def test_a_file_is_looked_at_again_and_again_while_there_is_nothing_to_write(tmp_path: Path) -> None:
