@@ -7,20 +7,17 @@ from collections.abc import Callable, Iterable, Mapping
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
-from typing import cast
+from typing import Any, cast
 from uuid import uuid4
 
 from planner_bridge.model.grounding import initial_knowledge
 from planner_bridge.model.problem import Domain, Problem
 from planner_bridge.pipeline.achieve import Actions, backend_of, readiness_of
-from planner_bridge.pipeline.goal_handle import KEPT_NOWHERE, TaskJournal
+from planner_bridge.pipeline.goal_handle import KEPT_NOWHERE, GivenPlan, GoalHandle, TaskJournal
 from planner_bridge.tasks.result import PlanResult, Stopwatch
 from planner_bridge.tasks.settings import Settings, TaskObserver
-from planner_bridge.tasks.task_manager import TaskManager
-from pnm.actions.backend import Backend, check_ready
 from pnm.actions.faults import NO_FAULTS, Faults
 from pnm.clock import run_async
-from pnm.core.logic.conditions import Condition
 from pnm.core.machine.machine import OnFailure
 from pnm.core.readiness import Readiness
 from pnm.errors import InputError, Tolerated, check_kinds
@@ -28,7 +25,7 @@ from pnm.journal.kept import JournalChoice
 from pnm.knowledge.sources import Sources, Surroundings, open_sources
 from pnm.language.plan import HandWrittenPlan, called_plans, chosen_plan, merge_bindings, read_plans, sources_of
 from pnm.language.runner import PlanRunner, Program
-from pnm.tasks import Code, Wanted
+from pnm.tasks import Wanted
 
 
 def readiness_for_plan(
@@ -95,56 +92,12 @@ def carry_out(
     origin = file.read_text(encoding="utf-8"), chosen, repr(sorted(wanted.parameters.items()))
     kept = TaskJournal.of(journal, *origin) if journal else KEPT_NOWHERE
 
-    def opened() -> Sources:
-        surroundings = Surroundings(getattr(backend, "ros", None), file.parent, tuple(answers))
-        return open_sources(sources_of(plans.values()), surroundings, knowledge)
+    def opened(ros: Any) -> Sources:
+        return open_sources(sources_of(plans.values()), Surroundings(ros, file.parent, tuple(answers)), knowledge)
 
-    task = _carry_out_at(backend, opened, programs, wanted, bound, observer=observer, stopwatch=stopwatch, kept=kept)
-    return run_async(task, virtual=actions == "simulated")
-
-
-async def _carry_out_at(
-    backend: Backend,
-    opened: Callable[[], Sources],
-    programs: Mapping[str, Program],
-    wanted: Wanted,
-    settings: Settings,
-    *,
-    observer: TaskObserver,
-    stopwatch: Stopwatch,
-    kept: TaskJournal,
-) -> PlanResult:
-    """Carry out one of the programs on a backend, with sources of knowledge that are opened when it is open."""
-    world, is_prepared = kept.world(initial_knowledge(programs[wanted.text].plan)), False
-    with kept.opened(backend) as journal:
-        try:
-            await backend.open(world)
-            sources = opened()
-            try:
-                asked = PlanRunner(programs, backend, world, sources)  # of which nothing is kept
-                await check_ready(backend, asked.actions)
-                await asked.check(asked.prepare_run(wanted.text, wanted.parameters))  # before anything is prepared
-                runner = kept.runner(backend, world, journal, programs, sources)
-                await backend.share(runner.prefix, runner.knowledge_of, sources)
-                await runner.prepare()
-                is_prepared = True
-                nothing = Problem(wanted.text, Domain(wanted.text))
-                helper = sources if settings.ask_for_help else None
-                manager = TaskManager(nothing, runner, settings, _no_goal, helper=helper)
-                return cast("PlanResult", await kept.carry_out(manager, wanted, observer, stopwatch))
-            finally:
-                await sources.close()
-        except asyncio.CancelledError:
-            if is_prepared:  # and has been cancelled twice
-                raise
-            cast("asyncio.Task[object]", asyncio.current_task()).uncancel()
-            return PlanResult(Code.CANCELLED, "cancelled", 0, (), stopwatch.seconds)
-        finally:
-            await backend.close()
-
-
-def _no_goal(text: str) -> Condition:
-    raise InputError(f"there are no goals here: {text}")
+    plan, nothing = GivenPlan(programs, wanted, opened), Problem(chosen, Domain(chosen))
+    handle = GoalHandle(backend, nothing, bound, observer, stopwatch, kept, plan)
+    return cast("PlanResult", run_async(handle.run(), virtual=actions == "simulated"))
 
 
 def _with_settings(plan: HandWrittenPlan, settings: Settings, on_failure: OnFailure | None) -> HandWrittenPlan:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Generator, Iterator, Mapping
+from collections.abc import Callable, Generator, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from hashlib import sha256
@@ -13,7 +13,7 @@ from uuid import uuid4
 
 from planner_bridge.model.grounding import initial_knowledge
 from planner_bridge.model.problem import Problem
-from planner_bridge.tasks.result import TASKS, Stopwatch, TaskResult
+from planner_bridge.tasks.result import TASKS, PlanResult, Stopwatch, TaskResult
 from planner_bridge.tasks.settings import Settings, TaskObserver
 from planner_bridge.tasks.task_manager import TaskManager
 from pnm.actions.backend import Backend, SimulatedBackend, check_ready
@@ -122,6 +122,21 @@ class TaskJournal:
 KEPT_NOWHERE: Final = TaskJournal()
 
 
+@dataclass(frozen=True)
+class GivenPlan:
+    """A hand-written plan to carry out in place of a goal to pursue.
+
+    Args:
+        programs: the plan and those that it calls, by name.
+        wanted: the plan by its name, with its parameters.
+        open_sources: opens the sources of knowledge, given the connection of the backend to ROS, if it has one.
+    """
+
+    programs: Mapping[str, Program]
+    wanted: Wanted
+    open_sources: Callable[[Any], Sources]
+
+
 class GoalHandle:
     """A goal that is pursued on a backend, by a task manager with one task.
 
@@ -136,6 +151,7 @@ class GoalHandle:
         observer: TaskObserver,
         stopwatch: Stopwatch,
         journal: TaskJournal = KEPT_NOWHERE,
+        plan: GivenPlan | None = None,
     ) -> None:
         self._journal = journal
         self._backend = backend
@@ -143,6 +159,7 @@ class GoalHandle:
         self._settings = settings
         self._observer = observer
         self._stopwatch = stopwatch
+        self._plan = plan
         self._manager: TaskManager | None = None
         self._task: asyncio.Task[TaskResult] | None = None
 
@@ -165,25 +182,49 @@ class GoalHandle:
 
         Cancelling this stops the task: what is under way is cancelled and waited for; cancelling it again leaves it alone.
         """
-        backend, goal, helper = self._backend, self._problem.goal, None
+        backend, plan, is_ready, sources = self._backend, self._plan, False, None
+        described = plan.programs[plan.wanted.text].plan if plan else self._problem
         with self._journal.opened(backend) as journal:
-            knowledge = self._journal.world(initial_knowledge(self._problem))
+            world = self._journal.world(initial_knowledge(described))
             try:
-                try:
-                    await backend.open(knowledge)
-                    await check_ready(backend)
-                except asyncio.CancelledError:
-                    cast("asyncio.Task[object]", asyncio.current_task()).uncancel()
-                    return TaskResult(Code.CANCELLED, "cancelled", 0, (), self._stopwatch.seconds)
-                if self._settings.ask_for_help:
-                    helper = Sources((), make_source(SourceChoice("person"), Surroundings(getattr(backend, "ros", None))))
-                runner = self._journal.runner(backend, knowledge, journal)
+                await backend.open(world)
+                sources = self._open_sources()
+                runner = await self._runner(world, journal, sources)
+                is_ready, helper = True, sources if self._settings.ask_for_help else None
+                goal = self._problem.goal
                 self._manager = TaskManager(self._problem, runner, self._settings, lambda _: goal, helper=helper)
-                return await self._journal.carry_out(self._manager, Wanted(uuid4(), ""), self._observer, self._stopwatch)
+                wanted = plan.wanted if plan else Wanted(uuid4(), "")
+                return await self._journal.carry_out(self._manager, wanted, self._observer, self._stopwatch)
+            except asyncio.CancelledError:
+                if is_ready:  # and has been cancelled twice
+                    raise
+                cast("asyncio.Task[object]", asyncio.current_task()).uncancel()
+                return (PlanResult if plan else TaskResult)(Code.CANCELLED, "cancelled", 0, (), self._stopwatch.seconds)
             finally:
-                if helper is not None:
-                    await helper.close()
+                if sources is not None:
+                    await sources.close()
                 await backend.close()
+
+    def _open_sources(self) -> Sources | None:
+        """Open the sources of a plan, or the person who may be asked for help with a goal, whose runs ask nobody else."""
+        ros = getattr(self._backend, "ros", None)
+        if self._plan:
+            return self._plan.open_sources(ros)
+        return Sources((), make_source(SourceChoice("person"), Surroundings(ros))) if self._settings.ask_for_help else None
+
+    async def _runner(self, world: KnowledgeBase, journal: Journal, sources: Sources | None) -> PlanRunner:
+        """Return the executor of plans, once the backend is ready for them; raise an `InputError` if it, or a parameter, is wrong."""
+        backend, plan = self._backend, self._plan
+        if plan is None or sources is None:
+            await check_ready(backend)
+            return self._journal.runner(backend, world, journal)
+        asked = PlanRunner(plan.programs, backend, world, sources)  # of which nothing is kept
+        await check_ready(backend, asked.actions)
+        await asked.check(asked.prepare_run(plan.wanted.text, plan.wanted.parameters))  # before anything is prepared
+        runner = self._journal.runner(backend, world, journal, plan.programs, sources)
+        await backend.share(runner.prefix, runner.knowledge_of, sources)
+        await runner.prepare()
+        return runner
 
     @property
     def state(self) -> TaskState:
