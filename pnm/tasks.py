@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 import logging
-from collections.abc import Awaitable, Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import IntEnum
 from typing import Final, Protocol, TypeAlias
@@ -244,9 +244,6 @@ class MadePlan:
 
 KeptTasks: TypeAlias = Iterable[tuple[Wanted, TaskEnding | None]]
 """Tasks that another process has accepted, and how they have ended; None for those that go on."""
-Make: TypeAlias = Callable[[str, str, float | None], Awaitable[MadePlan]]
-"""Finds a plan for a goal from the world as it is, with a planner ("" for the default) and a limit in seconds (None likewise); what is
-wrong with the goal is in the result. A search that is cancelled ends the planner."""
 
 
 class TaskListener:
@@ -330,6 +327,9 @@ class ServedWorld(Protocol):
 
     async def query(self, questions: Sequence[str], /) -> Sequence[tuple[str, str]]:
         """Return each question, a condition or a function in PDDL, with its answer as a text: all facts, if there are no questions."""
+
+    async def make(self, goal: str, planner: str, seconds: float | None, /) -> MadePlan:
+        """Search for a plan for a goal from the world as it is; cancelling this ends the planner. "" and None are the defaults."""
 
     async def check_goal(self, goal: str, /) -> None:
         """Raise an error for a mistake in the goal of a task."""

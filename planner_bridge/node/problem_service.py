@@ -127,7 +127,7 @@ class ServedProblem:
         """Return the goal that a text or a name stands for."""
         return self.problem_world.read_goal(text)
 
-    async def make(self, goal: str, planner: str, seconds: float | None) -> MadePlan:
+    async def make(self, goal: str, planner: str, seconds: float | None, /) -> MadePlan:
         """Search for a plan for a goal, as its text or its name, from the current state; cancelling this ends the planner.
 
         Plan requests have their turns: a search takes a processor, which robots need. The settings have the planner and the time limit

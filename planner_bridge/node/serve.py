@@ -4,12 +4,10 @@ from __future__ import annotations
 
 import asyncio
 import logging
-from collections.abc import Awaitable, Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import AsyncExitStack, suppress
-from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, Any, Final
-from uuid import UUID
 
 from planner_bridge.model.problem import Problem
 from planner_bridge.node.node_context import NodeContext, open_context
@@ -21,13 +19,12 @@ from planner_bridge.tasks.replanning import Limits
 from planner_bridge.tasks.settings import Settings
 from planner_bridge.tasks.task_manager import TaskLimits, TaskManager
 from pnm.clock import follow_real_time, run_async, short_pauses
-from pnm.core.knowledge_base import KnowledgeBase, Layered
+from pnm.core.knowledge_base import KnowledgeBase
 from pnm.errors import InputError, PnmError
 from pnm.journal.kept import Fenced
 from pnm.journal.replay import Replay
-from pnm.knowledge.source import Asker
 from pnm.ros.node.parameters import ParameterValue
-from pnm.tasks import EVENTS, REMEMBERED, Make, ServedWorld, TaskEnding, Tasks, Wanted
+from pnm.tasks import EVENTS, REMEMBERED, TaskEnding, Wanted
 
 if TYPE_CHECKING:
     from pnm.ros.sim_time import SimClock
@@ -49,21 +46,7 @@ def kept_tasks(replay: Replay | None) -> list[tuple[Wanted, TaskEnding | None]]:
     return [*ended[-REMEMBERED:], *(task for task in tasks if task[1] is None)]
 
 
-@dataclass(frozen=True)
-class NodeApi:
-    """The offers of a node over ROS 2: tasks, plan requests, and the knowledge of its world."""
-
-    tasks: Tasks
-    make: Make
-    world: ServedWorld
-    knowledge_of: Callable[[UUID], tuple[Layered, Asker] | None]
-    """Finds the run that sent a request."""
-    restore: Callable[[Replay], None]
-    """Goes on with the tasks of another process."""
-    close: Callable[[], Awaitable[None]]
-
-
-async def make_task_manager(context: NodeContext) -> NodeApi:
+def make_task_manager(context: NodeContext) -> tuple[TaskManager, ServedProblem]:
     """Make the task manager of a node and the problem that it serves."""
     options = context.options
     settings = Settings(
@@ -96,7 +79,7 @@ async def make_task_manager(context: NodeContext) -> NodeApi:
     limits = TaskLimits(options.max_tasks, options.max_queue, options.on_conflict)
     helper = context.sources if options.ask_for_help else None
     manager = TaskManager(problem, context.runner, settings, world.read_goal, helper=helper, limits=limits)
-    return NodeApi(manager, world.make, world, manager.knowledge_of, manager.restore, manager.close)
+    return manager, world
 
 
 def serve(given: Mapping[str, ParameterValue], arguments: Sequence[str], observer: NodeObserver) -> None:
@@ -214,10 +197,7 @@ class ServingNode:
         from pnm.ros.tasks.task_node import TaskNode  # here, because rclpy is an extra
 
         runner = context.runner
-        api = await make_task_manager(context)
-
-        def knowledge_of(request: UUID) -> tuple[Layered, Asker] | None:
-            return runner.knowledge_of(request) or api.knowledge_of(request)
+        manager, world = make_task_manager(context)
 
         def prepared(preparing: asyncio.Future[tuple[str, ...]]) -> None:
             if preparing.cancelled():
@@ -232,27 +212,27 @@ class ServingNode:
 
         def restore() -> None:
             if (replay := context.replay) is not None:
-                api.restore(replay)
+                manager.restore(replay)
                 self._node.restored(replay.is_held, {task.accepted.wanted.id for task in replay.unfinished if task.is_held})
 
-        await context.backend.share(runner.prefix, knowledge_of, context.sources)
+        await context.backend.share(runner.prefix, runner.knowledge_of, context.sources)
         preparing = asyncio.ensure_future(runner.prepare())
         stack.callback(preparing.cancel)
         await asyncio.wait((preparing,), timeout=_PREPARED)
         if preparing.done():
             preparing.result()  # raises what is wrong
         preparing.add_done_callback(prepared)
-        self._node = TaskNode(self._ros, api.tasks, api.make, api.world, context.plan_actions, kept_tasks(context.replay))
+        self._node = TaskNode(self._ros, manager, world, context.plan_actions, kept_tasks(context.replay))
         self._restore = restore
         look = partial(context.backend.look, runner.actions)
-        await open_diagnoses(stack, self._ros, look, api.tasks, lambda: self._state, self._clock, runner.journal, self._options)
-        self._observer.configured(api.tasks, self._node, api.world)
+        await open_diagnoses(stack, self._ros, look, manager, lambda: self._state, self._clock, runner.journal, self._options)
+        self._observer.configured(manager, self._node, world)
 
         # The stack closes in reverse: first the node, which gives tasks their time to end and answers all goals; then the task manager.
         async def close() -> None:  # tasks that have not ended by now are left alone
             with suppress(TimeoutError):
                 async with asyncio.timeout(_CLOSING):
-                    await api.close()
+                    await manager.close()
 
         stack.push_async_callback(close)
         stack.push_async_callback(self._node.close, context.options.cancel)

@@ -78,10 +78,12 @@ class PlanExecution(Observer):
 
     async def __aenter__(self) -> PlanExecution:
         self._context.control.begin_execution(self)
-        stop_listening = self._context.world.listen(self._changed)
+        stop_listening, going_on = self._context.world.listen(self._changed), self._context.runner.going_on
+        going_on.append(self.executor)
 
         def end(_: object) -> None:
             self._context.control.end_execution()
+            going_on.remove(self.executor)
             stop_listening()
             if self._timer:
                 self._timer.cancel()

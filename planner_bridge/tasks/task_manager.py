@@ -33,7 +33,7 @@ from pnm.core.resources import who_keeps
 from pnm.errors import InputError
 from pnm.journal.kept import JournalError
 from pnm.journal.replay import Replay, ReplayedTask
-from pnm.knowledge.source import Asker, Source
+from pnm.knowledge.source import Source
 from pnm.knowledge.sources import Sources
 from pnm.language.runner import PlanRunner
 from pnm.tasks import (
@@ -256,14 +256,6 @@ class TaskManager:
         if busy := f"there are {number} tasks" if (number := len(self._tasks)) else who_keeps(self._resources.withheld):
             raise InputError(f"{busy}; that must be over before another problem is loaded")
         self._problem, self._began = problem, self._loop.time()
-
-    def knowledge_of(self, request: UUID) -> tuple[Layered, Asker] | None:
-        """Return the knowledge of the run that has sent a request, and as whom it asks; None unless the request is open."""
-        for task in self._tasks.values():
-            run = task.control.run
-            if run is not None and request in run.open_requests:
-                return run.knowledge, Asker(run.id, task.wanted.text)
-        return None
 
     async def close(self) -> None:
         """Cancel all tasks, and wait until they are over; leave them alone when this is cancelled."""

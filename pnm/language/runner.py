@@ -150,7 +150,7 @@ PREFIX: Final = 4
 class PlanRunner:
     """Carries out the plans of a world on a backend.
 
-    The mutable state is the runs that go on.
+    The mutable state is the executors of the runs that go on, those of plans of a planner among them.
 
     Args:
         programs: by the name of the plan.
@@ -171,7 +171,7 @@ class PlanRunner:
     """Shared by all runs, those of plans that are called included."""
     prefix: bytes = field(default_factory=partial(os.urandom, PREFIX))
     """The first bytes of the identities of all runs and requests: action servers find this process by them."""
-    going_on: list[PlanRun] = field(default_factory=list)
+    going_on: list[Executor] = field(default_factory=list)
     kept: dict[UUID, ReplayedRun] = field(default_factory=dict)
     """By the request that has called it, runs of plans that another process has begun, and that are still to go on."""
 
@@ -282,22 +282,22 @@ class PlanRunner:
 
     async def execute(self, plan_run: PlanRun) -> RunResult:
         """Carry the plan out, within its time."""
-        self.going_on.append(plan_run)
+        self.going_on.append(plan_run.executor)
         plan_run.limit.note = partial(self.journal.counted, plan_run.executor.run.id)
         plan_run.limit.begin()
         try:
             plan_run.result = await plan_run.executor.execute()
             return plan_run.result
         finally:
-            self.going_on.remove(plan_run)
+            self.going_on.remove(plan_run.executor)
             plan_run.limit.close()
 
     def knowledge_of(self, request: UUID) -> tuple[Layered, Asker] | None:
-        """Return the knowledge of the run with this request, and the action that asks; None when it is not, or no longer, open."""
-        for plan_run in self.going_on:
-            run = plan_run.executor.run
+        """Return the knowledge of the run with this request, and as whom it asks; None when it is not, or no longer, open."""
+        for executor in self.going_on:
+            run = executor.run
             if request in run.open_requests:
-                return run.knowledge, Asker(run.id, plan_run.program.plan.name)
+                return run.knowledge, Asker(run.id, executor.name)
         return None
 
 

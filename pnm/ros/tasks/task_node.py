@@ -24,7 +24,6 @@ from pnm.tasks import (
     Code,
     KeptTasks,
     MadePlan,
-    Make,
     ServedWorld,
     TaskEnding,
     TaskListener,
@@ -50,7 +49,7 @@ class TaskNode:
     """
 
     def __init__(
-        self, ros: RosThread, tasks: Tasks, make: Make, world: ServedWorld, plans: Mapping[str, str] | None = None, kept: KeptTasks = ()
+        self, ros: RosThread, tasks: Tasks, world: ServedWorld, plans: Mapping[str, str] | None = None, kept: KeptTasks = ()
     ) -> None:
         self._ros = ros
         self._tasks = tasks
@@ -60,7 +59,7 @@ class TaskNode:
         self._paused: set[UUID] = set()
         self._is_deactivated = False
         self._servers = TaskServers(ros, tasks, plans or {}, lambda: self._closed, kept)
-        self._planning = PlanningServer(ros, make, lambda: self._closed)
+        self._planning = PlanningServer(ros, world, lambda: self._closed)
         self._topics = TaskTopics(ros, tasks, world, lambda: self._is_paused)
         self._services = RequestServices(ros)
 
@@ -382,8 +381,8 @@ class PlanningServer:
     The mutable state is the searches by goal.
     """
 
-    def __init__(self, ros: RosThread, make: Make, closed: Callable[[], str]) -> None:
-        self._make = make
+    def __init__(self, ros: RosThread, world: ServedWorld, closed: Callable[[], str]) -> None:
+        self._world = world
         self._loop = asyncio.get_running_loop()
         self._searches: dict[UUID, asyncio.Task[MadePlan]] = {}
         self._closed = closed
@@ -416,7 +415,7 @@ class PlanningServer:
 
     async def _search(self, request: Any) -> MadePlan:
         try:
-            return await self._make(request.goal.strip(), request.planner.strip(), messages.seconds("timeout", request.timeout))
+            return await self._world.make(request.goal.strip(), request.planner.strip(), messages.seconds("timeout", request.timeout))
         except InputError as error:
             return MadePlan(Code.INVALID_GOAL, str(error))
         except Exception as error:

@@ -60,7 +60,7 @@ async def test_the_steps_of_a_plan_have_the_values_that_are_known(simulation: Ta
     task = simulation.want("trip", is_plan=True, parameters={"robot": "r0"})
     await simulation.sees(task, "sent")
     assert [str(step) for step in simulation.master.plan(task)[1]] == ["move(r0, a0, a1)", "move(r0, a1, ?to)"]
-    run = simulation.runner.going_on[0].executor.run
+    run = simulation.runner.going_on[0].run
     run.knowledge.local.store({"far": "a3", "home": "a0"})
     assert [str(step) for step in simulation.master.plan(task)[1]] == ["move(r0, a0, a1)", "move(r0, a3, a0)"]
     run.knowledge.local.store({"far": "a1"})

@@ -14,7 +14,7 @@ from pnm.ros.node import services as request_services
 from pnm.ros.node.ros_thread import RosThread
 from pnm.ros.tasks.task_node import TaskNode
 from tests.support.ros.task_client import SentGoal, TaskClient
-from tests.support.tasks.fake_tasks import FakeTasks, FakeWorld, fake_search
+from tests.support.tasks.fake_tasks import FakeTasks, FakeWorld
 
 
 @dataclass
@@ -34,7 +34,7 @@ class ServingNode:
 @asynccontextmanager
 async def serving_node(two: tuple[RosThread, RosThread], *, is_active: bool = True) -> AsyncIterator[ServingNode]:
     knowledge, tasks = KnowledgeBase(), FakeTasks()
-    node = TaskNode(two[0], tasks, fake_search, FakeWorld(knowledge), {"running": "running_tour"})
+    node = TaskNode(two[0], tasks, FakeWorld(knowledge), {"running": "running_tour"})
     await node.open()
     if is_active:
         await node.activate()

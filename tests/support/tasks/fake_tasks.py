@@ -10,12 +10,12 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import partial
 from pathlib import Path
+from typing import Any
 from uuid import UUID
 
 from planner_bridge.node.node_context import NodeContext
-from planner_bridge.node.serve import NodeApi, make_task_manager
+from planner_bridge.node.serve import make_task_manager
 from pnm.core.knowledge_base import KnowledgeBase, parse_fluent
 from pnm.core.logic.computed_values import Layer, Question
 from pnm.core.logic.expressions import Fluent, Unknown, Value, fluent_text
@@ -128,6 +128,14 @@ class FakeTasks:
         self.listeners.append(listener)
         return lambda: self.listeners.remove(listener)
 
+    # of a task manager besides
+
+    def restore(self, replay: object) -> None:
+        """Go on with nothing, for nothing is kept."""
+
+    async def close(self) -> None:
+        """Leave all tasks as they are."""
+
     # what tests have happen
 
     def end(self, task: UUID, code: Code) -> None:
@@ -188,22 +196,21 @@ class FakeTasks:
             one.ended(task, ending)
 
 
-async def fake_search(goal: str, planner: str, limit: float | None) -> MadePlan:
-    """Find a plan at once for any goal but "no_plan", or never for "planning"."""
-    if goal == "planning":
-        await asyncio.get_running_loop().create_future()
-    if goal == "wrong":
-        raise InputError("goal:1:1: expected a condition")
-    if goal == "no_plan":
-        return MadePlan(Code.NO_PLAN, "there is none")
-    return MadePlan(Code.GOAL_REACHED, f"{planner} {limit}", goal, _STEPS)
-
-
 @dataclass
 class FakeWorld:
     """Facts without a problem around them."""
 
     knowledge: KnowledgeBase
+
+    async def make(self, goal: str, planner: str, limit: float | None, /) -> MadePlan:
+        """Find a plan at once for any goal but "no_plan", or never for "planning"."""
+        if goal == "planning":
+            await asyncio.get_running_loop().create_future()
+        if goal == "wrong":
+            raise InputError("goal:1:1: expected a condition")
+        if goal == "no_plan":
+            return MadePlan(Code.NO_PLAN, "there is none")
+        return MadePlan(Code.GOAL_REACHED, f"{planner} {limit}", goal, _STEPS)
 
     async def query(self, questions: Sequence[str], /) -> tuple[tuple[str, str], ...]:
         return tuple((one, str(self.knowledge.value(parse_fluent(one)) is True).lower()) for one in questions)
@@ -238,9 +245,8 @@ class FakeWorld:
         return {"added": added, "fluents": [*numbers], "values": [*numbers.values()]}
 
 
-async def make_fake_tasks(context: NodeContext) -> NodeApi:
+def make_fake_tasks(context: NodeContext) -> tuple[Any, Any]:
     """Stand in for `planner_bridge.node.serve.make_task_manager` where there are goals to be pursued."""
     if context.problem is None:
-        return await make_task_manager(context)
-    tasks = FakeTasks(context.options.max_queue)
-    return NodeApi(tasks, fake_search, FakeWorld(context.runner.world), lambda _: None, lambda _: None, partial(asyncio.sleep, 0))
+        return make_task_manager(context)
+    return FakeTasks(context.options.max_queue), FakeWorld(context.runner.world)

@@ -109,7 +109,7 @@ class TaskSimulation(TaskListener):
     def orphans(self) -> list[str]:
         """Return what robots do for no task."""
         runs = [one.control.run for one in self.master._tasks.values() if one.control.run]
-        runs += [one.executor.run for one in self.runner.going_on]
+        runs += [one.run for one in self.runner.going_on]
         wanted = {request for run in runs for request in run.open_requests}
         jobs = self.backend.robots._jobs
         return [str(job.request.action) for id, job in jobs.items() if id not in wanted and not (job.fault and job.fault.ignores_cancel)]
