@@ -54,6 +54,8 @@ class Executor:
     """It keeps what happens before anything is done about it; the run was made by it."""
     note: Callable[[HelpAsked | HelpEnded], None] = note_nothing
     """It is told what a person is asked about a request that was lost, and what has come of it."""
+    called: Callable[[UUID], Executor | None] = lambda _: None
+    """It returns the executor of the run that a request has begun here; None if a server carries the request out."""
     ended: bool = field(default=False, init=False)
     """Whether the run was carried out, and is not any more."""
 
@@ -102,6 +104,22 @@ class Executor:
     def awaits(self) -> bool:
         """Whether something has come that the run has not handled, or is to come that may move it."""
         return self.run.awaits or bool(self._source_tasks) or not self._inbox.empty()
+
+    @property
+    def running(self) -> tuple[tuple[str, str], ...]:
+        """The calls that are under way, with what their servers have said last; those in a run that a call has begun, behind its name."""
+        calls, feedback = list[tuple[str, str]](), self.run.feedback
+        for request, call in self.run.open_calls.items():
+            called, name = self.called(request), str(call.action)
+            inside = called.running if called else ()
+            calls += [(f"{name}: {inner}", said) for inner, said in inside] or [(name, feedback[request])]
+        return tuple(calls)
+
+    @property
+    def awaits_answers(self) -> bool:
+        """Whether nothing goes on before a person has answered, neither here nor in runs that calls have begun."""
+        called = [self.called(request) for request in self.run.open_requests]
+        return self.run.awaits_answers or (bool(called) and all(one is not None and one.awaits_answers for one in called))
 
     def succeed(self, run: Run) -> None:
         """Go on with another run in the place of this one, at once. Not to be called by observers.

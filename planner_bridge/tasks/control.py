@@ -52,14 +52,6 @@ class Execution(Protocol):
     def forecast(self) -> Forecast:
         """The time at which the plan is expected to be done with its needs, and its results then."""
 
-    @property
-    def running(self) -> tuple[tuple[str, str], ...]:
-        """The calls that are under way, each with what its server has said last."""
-
-    @property
-    def awaits_answers(self) -> bool:
-        """Whether nothing goes on before a person has answered."""
-
     def resume(self) -> None:
         """Go on after a pause of the task."""
 
@@ -112,7 +104,12 @@ class TaskControl:
     @property
     def awaits_people(self) -> bool:
         """Whether the task does not go on before somebody resumes it, or answers."""
-        return self.is_paused or self.awaits_help or (self.execution is not None and self.execution.awaits_answers)
+        return self.is_paused or self.awaits_help or self.awaits_answers
+
+    @property
+    def awaits_answers(self) -> bool:
+        """Whether nothing of the plan goes on before a person has answered."""
+        return self.execution is not None and self.execution.executor.awaits_answers
 
     @property
     def run(self) -> Run | None:
@@ -129,7 +126,7 @@ class TaskControl:
     @property
     def forecast(self) -> Forecast | None:
         """The forecast of the plan; None while there is none. A wait for people takes as long as they do."""
-        if self.execution and not self.execution.awaits_answers:
+        if self.execution and not self.awaits_answers:
             return self.execution.forecast
         return None if self.footprint is None else Forecast(self.footprint)
 

@@ -148,17 +148,6 @@ class PlanExecution(Observer):
         return () if self.is_over else self.run.under_way()
 
     @property
-    def running(self) -> tuple[tuple[str, str], ...]:
-        """The calls that are under way, each with what its server has said last."""
-        feedback = self.run.feedback
-        return tuple((str(call.action), feedback[request]) for request, call in self.run.open_calls.items())
-
-    @property
-    def awaits_answers(self) -> bool:
-        """Whether nothing goes on before a person has answered."""
-        return self.run.awaits_answers
-
-    @property
     def is_eager(self) -> bool:
         """Whether the plan is looked at again as soon as facts change."""
         return self._context.settings.on_change is OnChange.EAGER

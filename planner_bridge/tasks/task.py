@@ -137,9 +137,8 @@ class Task(TaskObserver):
     @property
     def wants_to_go_on(self) -> bool:
         """Whether the task has something to do: it has begun, no operator has paused it, and it does not only wait for answers."""
-        execution = self.control.execution
         has_work = self.control.has_begun and self.ending is None and not self.is_held and not self.control.awaits_help
-        return has_work and not (execution is not None and execution.awaits_answers)
+        return has_work and not self.control.awaits_answers
 
     @property
     def why_still(self) -> str:
@@ -155,7 +154,7 @@ class Task(TaskObserver):
     def status(self) -> TaskStatus:
         """The status of the task now."""
         control, wanted = self.control, self.wanted
-        under_way = control.execution.running if control.execution else ()
+        under_way = control.execution.executor.running if control.execution else ()
         return TaskStatus(
             self.id,
             wanted.text or self.goal,

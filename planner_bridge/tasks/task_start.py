@@ -169,16 +169,6 @@ class PlanTask:
         """The needs of the plan; their end depends on loops, choices and people."""
         return Forecast(self.footprint)
 
-    @property
-    def running(self) -> tuple[tuple[str, str], ...]:
-        """The calls that are under way, those in plans that it calls as well, each with what its server has said last."""
-        return self._plan_run.running
-
-    @property
-    def awaits_answers(self) -> bool:
-        """Whether nothing goes on before a person has answered."""
-        return self._plan_run.awaits_answers
-
     def resume(self) -> None:
         """Go on after a pause."""
         self.executor.resume()

@@ -21,6 +21,7 @@ from pnm.clock import TimeLimit
 from pnm.core.execution.call_results import RunResult
 from pnm.core.execution.events import Observer
 from pnm.core.execution.questions import EvaluationContext
+from pnm.core.execution.run import Run
 from pnm.core.knowledge_base import KnowledgeBase, Layered
 from pnm.core.logic.computed_values import MISSING, Layer, Literal, Query, Question, parts
 from pnm.core.logic.expressions import bind
@@ -96,12 +97,10 @@ class Program:
 
 @dataclass
 class PlanRun:
-    """One run of a plan. The mutable state is `result`."""
+    """One run of a plan."""
 
     program: Program
     executor: Executor
-    client: PlansClient
-    result: RunResult | None = None
     limit: TimeLimit = field(init=False)
     """The time that the plan has."""
 
@@ -111,24 +110,6 @@ class PlanRun:
         self.limit = TimeLimit(
             inf if seconds is None else seconds, lambda limit: stop(reason=f"the plan's limit of {limit:g} s is reached")
         )
-
-    @property
-    def running(self) -> tuple[tuple[str, str], ...]:
-        """The calls that are under way, with what their servers have said last; those in a plan that is called behind the call's name."""
-        calls: list[tuple[str, str]] = []
-        feedback = self.executor.run.feedback
-        for request, call in self.executor.run.open_calls.items():
-            called, name = self.client.plan_run(request), str(call.action)
-            inside = called.running if called else ()
-            calls += [(f"{name}: {inner}", said) for inner, said in inside] or [(name, feedback[request])]
-        return tuple(calls)
-
-    @property
-    def awaits_answers(self) -> bool:
-        """Whether nothing goes on before a person has answered, neither here nor in plans that this one calls."""
-        run = self.executor.run
-        called = [self.client.plan_run(request) for request in run.open_requests]
-        return run.awaits_answers or (bool(called) and all(plan_run is not None and plan_run.awaits_answers for plan_run in called))
 
     @property
     def variables(self) -> dict[str, object]:
@@ -262,18 +243,20 @@ class PlanRunner:
             task=task or identity,
             priority=priority,
         )
-        note = partial(self.journal.noted, task or identity)
-        return PlanRun(program, Executor(run, client, self.source, name, self.journal, note), client)
+        return self._plan_run(run, client, name)
 
     def go_on_with(self, replayed: ReplayedRun, name: str, observer: Observer | None) -> PlanRun:
         """Return a run of the plan that goes on where another process has left it; the arguments are those of `prepare_run`."""
         client = PlansClient(self, observer, replayed.made.task, replayed.made.priority)
         run = self.journal.go_on(replayed, observer, client.goal_fields)
-        note = partial(self.journal.noted, replayed.made.task)
-        plan_run = PlanRun(self.programs[name], Executor(run, client, self.source, name, self.journal, note), client)
+        plan_run = self._plan_run(run, client, name)
         if replayed.used:
             plan_run.limit.continue_from(replayed.used, replayed.left_at)
         return plan_run
+
+    def _plan_run(self, run: Run, client: PlansClient, name: str) -> PlanRun:
+        note = partial(self.journal.noted, client.task)
+        return PlanRun(self.programs[name], Executor(run, client, self.source, name, self.journal, note, client.executor_of))
 
     async def check(self, plan_run: PlanRun) -> None:
         """See to it that every parameter of the plan has a value, before it is carried out; see `check_values`."""
@@ -286,8 +269,7 @@ class PlanRunner:
         plan_run.limit.note = partial(self.journal.counted, plan_run.executor.run.id)
         plan_run.limit.begin()
         try:
-            plan_run.result = await plan_run.executor.execute()
-            return plan_run.result
+            return await plan_run.executor.execute()
         finally:
             self.going_on.remove(plan_run.executor)
             plan_run.limit.close()
@@ -311,14 +293,14 @@ class PlansClient:
         task: on whose behalf they are carried out.
         priority: of their claims to resources.
 
-    The mutable state is the runs of plans by request, the requests that were cancelled, and the tasks that carry them out.
+    The mutable state is the executors of plans by request, the requests that were cancelled, and the tasks that carry them out.
     """
 
     runner: PlanRunner
     observer: Observer | None
     task: UUID
     priority: int
-    _plan_runs: dict[UUID, PlanRun] = field(init=False, default_factory=dict)
+    _executors: dict[UUID, Executor] = field(init=False, default_factory=dict)
     _cancelled: set[UUID] = field(init=False, default_factory=set)
     _tasks: set[asyncio.Task[None]] = field(init=False, default_factory=set)
 
@@ -358,15 +340,15 @@ class PlansClient:
 
     def cancel(self, request: UUID, /) -> None:
         """Have the plan, or the action, cancelled."""
-        if request in self._plan_runs:
+        if request in self._executors:
             self._cancelled.add(request)
-            self._plan_runs[request].executor.stop()
+            self._executors[request].stop()
         else:
             self._client.cancel(request)
 
-    def plan_run(self, request: UUID) -> PlanRun | None:
-        """Return the run that a request for a plan has started; None if it has none, or it is over."""
-        return self._plan_runs.get(request)
+    def executor_of(self, request: UUID) -> Executor | None:
+        """Return the executor of the run that a request for a plan has started; None if it has none, or it is over."""
+        return self._executors.get(request)
 
     async def _run_plan(self, request: requests.Request, report: requests.Reporter) -> None:
         given = {name: value for name, value in request.goal.items() if name not in ABOUT_THE_CALL}
@@ -380,7 +362,7 @@ class PlansClient:
         await self._execute(request, plan_run, report)
 
     async def _execute(self, request: requests.Request, plan_run: PlanRun, report: requests.Reporter) -> None:
-        self._plan_runs[request.id] = plan_run
+        self._executors[request.id] = plan_run.executor
         report(requests.Accepted(request.id))
         try:
             result = await self.runner.execute(plan_run)
@@ -393,7 +375,7 @@ class PlansClient:
             )
             return
         finally:
-            del self._plan_runs[request.id]
+            del self._executors[request.id]
         unsuccessful = requests.OutcomeKind.CANCELED if request.id in self._cancelled else requests.OutcomeKind.ABORTED
         self._cancelled.discard(request.id)
         kind = requests.OutcomeKind.SUCCEEDED if result.goal else unsuccessful

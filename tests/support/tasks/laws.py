@@ -42,7 +42,7 @@ def _live_requests(task: Task) -> tuple[UUID, ...]:
 
 
 def _asks(task: Task) -> bool:
-    return task.control.execution is not None and task.control.execution.awaits_answers
+    return task.control.awaits_answers
 
 
 def contradictory_requests(sender: Task, call: str, tasks: Iterable[Task], world: KnowledgeBase) -> Iterator[str]:

@@ -131,8 +131,8 @@ def test_cancelling_a_plan_cancels_the_plan_it_calls(tmp_path: Path) -> None:
         outer = runner.prepare_run("outer", {"shop": "pharmacy"})
         running = asyncio.ensure_future(runner.execute(outer))
         await asyncio.sleep(7)
-        assert [one.program.plan.name for one in runner.going_on] == ["outer", "inner"]
-        assert outer.running == (("inner(pharmacy): go(pharmacy)", ""),)
+        assert [one.name for one in runner.going_on] == ["outer", "inner"]
+        assert outer.executor.running == (("inner(pharmacy): go(pharmacy)", ""),)
         outer.executor.stop()
         result = await running
         assert not result.goal
