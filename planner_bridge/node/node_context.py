@@ -115,7 +115,7 @@ async def open_context(
     folder = (options.world or options.domain or Path()).parent
     sources = open_sources(sources_of(plans), Surroundings(ros, folder), options.knowledge)
     stack.push_async_callback(sources.close)
-    runner = PlanRunner(programs, backend, knowledge, sources, journal, replay.resources if replay else None)
+    runner = PlanRunner(programs, backend, knowledge, sources, journal, replay)
     runner.prefix = prefix
     await check_ready(backend, runner.actions)
     context = NodeContext(options, files, problem, runner, bindings, backend, sources, replay, actions, plan_actions, origin)

@@ -96,27 +96,14 @@ class TaskJournal:
             journal.close()
 
     def runner(
-        self,
-        backend: Backend,
-        world: KnowledgeBase,
-        journal: Journal,
-        programs: Mapping[str, Program] | None = None,
-        source: Source | None = None,
+        self, backend: Backend, world: KnowledgeBase, journal: Journal, programs: Mapping[str, Program], source: Source | None
     ) -> PlanRunner:
         """Return the executor of plans, with the resources that go on; or begin the journal."""
-        runner = PlanRunner(programs or {}, backend, world, source, journal, self.replay.resources if self.replay else None)
+        runner = PlanRunner(programs, backend, world, source, journal, self.replay)
         if self.replay is None:
             command, seal = (self.taken.choice.command, self.taken.choice.seal) if self.taken else ((), "")
             journal.begin(world, runner.resources, prefix=runner.prefix, origin=self.origin, command=command, seal=seal)
-        elif self.replay.shared:
-            runner.prefix = self.replay.shared.prefix
         return runner
-
-    async def carry_out(self, manager: TaskManager, wanted: Wanted, observer: TaskObserver, stopwatch: Stopwatch) -> TaskResult:
-        """Carry out the task that goes on, or the one that is wanted; see `TaskManager.run`."""
-        if self.replay:
-            return await manager.go_on(self.replay, observer, stopwatch)
-        return await manager.run(wanted, observer, stopwatch)
 
 
 KEPT_NOWHERE: Final = TaskJournal()
@@ -194,7 +181,7 @@ class GoalHandle:
                 goal = self._problem.goal
                 self._manager = TaskManager(self._problem, runner, self._settings, lambda _: goal, helper=helper)
                 wanted = plan.wanted if plan else Wanted(uuid4(), "")
-                return await self._journal.carry_out(self._manager, wanted, self._observer, self._stopwatch)
+                return await self._manager.run(wanted, self._observer, self._stopwatch, self._journal.replay)
             except asyncio.CancelledError:
                 if is_ready:  # and has been cancelled twice
                     raise
@@ -215,15 +202,15 @@ class GoalHandle:
     async def _runner(self, world: KnowledgeBase, journal: Journal, sources: Sources | None) -> PlanRunner:
         """Return the executor of plans, once the backend is ready for them; raise an `InputError` if it, or a parameter, is wrong."""
         backend, plan = self._backend, self._plan
-        if plan is None or sources is None:
-            await check_ready(backend)
-            return self._journal.runner(backend, world, journal)
-        asked = PlanRunner(plan.programs, backend, world, sources)  # of which nothing is kept
+        programs, source = plan.programs if plan else {}, sources if plan else None
+        asked = PlanRunner(programs, backend, world, source)  # of which nothing is kept
         await check_ready(backend, asked.actions)
-        await asked.check(asked.prepare_run(plan.wanted.text, plan.wanted.parameters))  # before anything is prepared
-        runner = self._journal.runner(backend, world, journal, plan.programs, sources)
-        await backend.share(runner.prefix, runner.knowledge_of, sources)
-        await runner.prepare()
+        if plan:
+            await asked.check(asked.prepare_run(plan.wanted.text, plan.wanted.parameters))  # before anything is prepared
+        runner = self._journal.runner(backend, world, journal, programs, source)
+        if source is not None:
+            await backend.share(runner.prefix, runner.knowledge_of, source)
+            await runner.prepare()
         return runner
 
     @property

@@ -142,28 +142,23 @@ class TaskManager:
         self._recall(replay.withheld)
         self._admit()
 
-    async def run(self, wanted: Wanted, observer: TaskObserver, stopwatch: Stopwatch) -> TaskResult:
-        """Carry out a task and return its result. Cancelling this stops the task; cancelling it again leaves it alone.
+    async def run(self, wanted: Wanted, observer: TaskObserver, stopwatch: Stopwatch, replay: Replay | None = None) -> TaskResult:
+        """Carry out a task, or the one task of another process in its place, and return its result.
+
+        Cancelling this stops the task; cancelling it again leaves it alone.
 
         Raises:
             InputError: there is something wrong with the task; nothing was started.
         """
-        task = self._new(wanted, None, (observer,), stopwatch)
         observer.managed(self)
-        self._begin(task)
-        return await self._result_of(task)
-
-    async def go_on(self, replay: Replay, observer: TaskObserver, stopwatch: Stopwatch) -> TaskResult:
-        """Carry the one task of another process on, and return its result; see `run` and `restore`."""
-        observer.managed(self)
-        self.restore(replay, (observer,), stopwatch)
-        (id,) = (kept.accepted.wanted.id for kept in replay.unfinished)
-        task = self._tasks.get(id) or next(past for past in self._past if past.id == id)  # it may have ended just now
-        observer.restored()
-        return await self._result_of(task)
-
-    async def _result_of(self, task: Task) -> TaskResult:
-        """Wait for the result of a task; cancelling this stops it."""
+        if replay is None:
+            task = self._new(wanted, None, (observer,), stopwatch)
+            self._begin(task)
+        else:
+            self.restore(replay, (observer,), stopwatch)
+            (id,) = (kept.accepted.wanted.id for kept in replay.unfinished)
+            task = self._tasks.get(id) or next(past for past in self._past if past.id == id)  # it may have ended just now
+            observer.restored()
         if work := self._work.get(task.id):
             await stop_then_cancel(work, lambda: self._stop(task, Code.CANCELLED, "cancelled"))
         if task.result is None:

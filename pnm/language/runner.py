@@ -35,7 +35,7 @@ from pnm.core.resources import Resources
 from pnm.errors import InputError, suggestion
 from pnm.executor import Executor
 from pnm.journal.journal import NO_JOURNAL, Journal
-from pnm.journal.replay import ReplayedRun
+from pnm.journal.replay import Replay, ReplayedRun
 from pnm.knowledge.source import Asker, Source
 from pnm.language.plan import HandWrittenPlan
 
@@ -139,7 +139,7 @@ class PlanRunner:
         world: what all runs share.
         source: the source for questions and updates outside the run.
         journal: records the runs.
-        shared: resources that another process has used, in place of new ones.
+        replay: what goes on of another process: its resources, and its prefix of identities, in place of new ones.
     """
 
     programs: Mapping[str, Program]
@@ -147,7 +147,7 @@ class PlanRunner:
     world: KnowledgeBase
     source: Source | None = None
     journal: Journal = NO_JOURNAL
-    shared: InitVar[Resources | None] = None
+    replay: InitVar[Replay | None] = None
     resources: Resources = field(init=False)
     """Shared by all runs, those of plans that are called included."""
     prefix: bytes = field(default_factory=partial(os.urandom, PREFIX))
@@ -156,12 +156,14 @@ class PlanRunner:
     kept: dict[UUID, ReplayedRun] = field(default_factory=dict)
     """By the request that has called it, runs of plans that another process has begun, and that are still to go on."""
 
-    def __post_init__(self, shared: Resources | None) -> None:
+    def __post_init__(self, replay: Replay | None) -> None:
         capacities: dict[str, int] = {}
         for program in self.programs.values():  # the most careful of the plans counts
             for name, capacity in program.plan.graph.capacities.items():
                 capacities[name] = min(capacity, capacities.get(name, capacity))
-        self.resources = shared or Resources(capacities)
+        self.resources = replay.resources if replay else Resources(capacities)
+        if replay and replay.shared and replay.shared.prefix:
+            self.prefix = replay.shared.prefix
         self.programs = {name: program.sharing(self.resources) for name, program in self.programs.items()}
 
     @property

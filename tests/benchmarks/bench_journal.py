@@ -180,7 +180,7 @@ async def until_under_way(problem: Problem, file: Path, copy: Path | None = None
     taken = take_up(JournalChoice(file, adopts=True), TASKS, "")
     journal, replay = taken.write(), taken.replay
     client, knowledge = Silent(), replay.world if replay else initial_knowledge(problem)
-    runner = PlanRunner({}, ClientBackend(client), knowledge, None, journal, replay.resources if replay else None)
+    runner = PlanRunner({}, ClientBackend(client), knowledge, None, journal, replay)
     settings, limits = Settings(improve=0.0), TaskLimits(active=UNDER_WAY, queue=UNDER_WAY)
     read = partial(goal_of, problem)
     manager = TaskManager(problem, runner, settings, read, limits=limits)

@@ -54,11 +54,9 @@ async def carry_out(scenario: Scenario, journal_file: Path, end: socket.socket, 
         assert isinstance(loop, FollowingLoop)
         loop.continue_from(replay.now)
     knowledge = replay.world if replay else initial_knowledge(scenario.problem)
-    runner = PlanRunner({}, ClientBackend(robots), knowledge, None, journal, replay.resources if replay else None)
+    runner = PlanRunner({}, ClientBackend(robots), knowledge, None, journal, replay)
     if not replay:
         journal.begin(knowledge, runner.resources, prefix=runner.prefix, origin=ORIGIN)
-    elif replay.shared:
-        runner.prefix = replay.shared.prefix
     manager = TaskManager(scenario.problem, runner, scenario.settings, scenario.read_goal)
     ends = _Ends()
     manager.listen(ends)

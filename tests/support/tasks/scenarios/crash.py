@@ -125,7 +125,7 @@ class Deployment:
         knowledge = replay.world if replay else initial_knowledge(self.problem)
         backend = ConnectedBackend(process, self.fleet, self.settings.bindings.assumed)
         await backend.open(knowledge)
-        runner = PlanRunner(self.programs, backend, knowledge, self.person, journal, replay.resources if replay else None)
+        runner = PlanRunner(self.programs, backend, knowledge, self.person, journal, replay)
         if replay is None:
             journal.begin(knowledge, runner.resources)
         manager = TaskManager(self.problem, runner, self.settings, partial(read_goal, self.problem), helper=self.person, limits=self.limits)

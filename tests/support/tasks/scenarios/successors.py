@@ -145,7 +145,7 @@ class Successors:
         written = WrittenJournal(JournalFile(self.journal, 0.0), TASKS, replay)
         knowledge = replay.world if replay else initial_knowledge(self.problem)
         await backend.open(knowledge)
-        runner = PlanRunner(self._programs, backend, knowledge, None, written, replay.resources if replay else None)
+        runner = PlanRunner(self._programs, backend, knowledge, None, written, replay)
         if replay is None:
             written.begin(knowledge, runner.resources)
         manager = TaskManager(self.problem, runner, self._settings, self._read, limits=self._limits)
