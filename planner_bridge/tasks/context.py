@@ -12,7 +12,7 @@ from uuid import UUID
 from planner_bridge.model.forbidden_actions import ForbiddenCall, calls_acquiring, calls_served_by
 from planner_bridge.model.problem import Problem
 from planner_bridge.model.progression import present_state
-from planner_bridge.ordering.interference import Forecast, ReadWriteSets, interference, read_write_sets
+from planner_bridge.ordering.interference import Forecast, ReadWriteSets, interference
 from planner_bridge.tasks.control import TaskControl
 from planner_bridge.tasks.replanning import History
 from planner_bridge.tasks.settings import Settings, TaskObserver
@@ -20,7 +20,6 @@ from planner_bridge.tasks.task import Task
 from pnm.core.execution.questions import EvaluationContext
 from pnm.core.execution.run import Run
 from pnm.core.knowledge_base import KnowledgeBase, Layered
-from pnm.core.logic.conditions import TRUE
 from pnm.core.machine.bindings import goal_data
 from pnm.core.machine.plan_graph import ActionCall
 from pnm.core.resources import Resources
@@ -96,10 +95,6 @@ class TaskContext:
     def note(self, note: object) -> None:
         """Keep a note of the task in the journal, for a process that goes on with it."""
         self.runner.journal.noted(self.task.id, note)
-
-    def under_way(self, run: Run) -> ReadWriteSets:
-        """Return the needs and changes of the running calls of a run."""
-        return read_write_sets(run.unsettled, TRUE, self.world)
 
     def unusable(self, history: History) -> frozenset[ForbiddenCall]:
         """Return the calls that would fail: their action server was not there too often, a resource is withheld, or a value is lacking."""

@@ -9,10 +9,11 @@ from contextlib import contextmanager, suppress
 from math import ulp
 from typing import Final, Protocol, TypeVar
 
-from planner_bridge.ordering.interference import Forecast, ReadWriteSets
+from planner_bridge.ordering.interference import Forecast, ReadWriteSets, read_write_sets
 from planner_bridge.tasks.settings import TaskObserver
 from pnm.clock import TimeLimit
 from pnm.core.execution.run import Run
+from pnm.core.logic.conditions import TRUE
 from pnm.executor import Executor
 from pnm.tasks import Code, TaskRefused, TaskState
 
@@ -45,12 +46,12 @@ class Execution(Protocol):
         """The executor of its runs."""
 
     @property
-    def footprint(self) -> ReadWriteSets:
+    def needed(self) -> ReadWriteSets:
         """The needs and changes of the rest of the plan."""
 
     @property
-    def forecast(self) -> Forecast:
-        """The time at which the plan is expected to be done with its needs, and its results then."""
+    def forecast(self) -> Forecast | None:
+        """The time at which the plan is expected to be done with its needs, and its results then; None if nobody can say."""
 
     def resume(self) -> None:
         """Go on after a pause of the task."""
@@ -119,15 +120,18 @@ class TaskControl:
     @property
     def footprint(self) -> ReadWriteSets | None:
         """The needs and changes of the rest of the plan, or of its running calls during a pause; None while there is no plan."""
+        if self.execution and self.is_paused:
+            run = self.execution.executor.run
+            return read_write_sets(run.unsettled, TRUE, run.knowledge.world)
         if self.execution:
-            return self.execution.footprint
+            return self.execution.needed
         return self.reserved() if self.reserved else None
 
     @property
     def forecast(self) -> Forecast | None:
         """The forecast of the plan; None while there is none. A wait for people takes as long as they do."""
-        if self.execution and not self.awaits_answers:
-            return self.execution.forecast
+        if self.execution and not self.awaits_answers and (expected := self.execution.forecast):
+            return expected
         return None if self.footprint is None else Forecast(self.footprint)
 
     # --- stopping and pausing ---------------------------------------------------------------------

@@ -126,10 +126,8 @@ class PlanExecution(Observer):
         return Progress(self.run.machine.plan, calls, frozenset(under_way))
 
     @property
-    def footprint(self) -> ReadWriteSets:
-        """The needs and changes of the rest of the plan; during a pause, of its running calls."""
-        if self._context.control.is_paused:
-            return self._context.under_way(self.run)
+    def needed(self) -> ReadWriteSets:
+        """The needs and changes of the rest of the plan."""
         progress = self.progress
         return read_write_sets(progress.rest, progress.plan.goal, self._context.world)
 
@@ -217,7 +215,7 @@ class PlanExecution(Observer):
 
     def resume(self) -> None:
         """Go on after a pause; if the plan does not work any more, or is in conflict with others, call for attention first."""
-        if self._context.scheduler.new_conflicts(self._context.task, lambda: self.footprint):
+        if self._context.scheduler.new_conflicts(self._context.task, lambda: self.needed):
             self.is_blocked = True
         # The run stays paused in these cases, so that nothing starts before it is decided what to do.
         if self.is_blocked or self.result.failures or (self.is_eager and self.obstacle()):
@@ -227,9 +225,8 @@ class PlanExecution(Observer):
 
     def why_no_step(self) -> str:
         """Return why nothing of the plan may begin now: it does not lead to its goal, or others are at work with what it needs."""
-        progress = self.progress
-        needed = read_write_sets(progress.rest, progress.plan.goal, self._context.world)
-        others = ", ".join(conflict.name for conflict in self._context.scheduler.conflicts(self._context.task, lambda: needed))
+        conflicts = self._context.scheduler.conflicts(self._context.task, lambda: self.needed)
+        others = ", ".join(conflict.name for conflict in conflicts)
         if self.is_blocked or others:
             return f"the plan is in conflict with {others or 'what others have begun'}; it has to be resumed, to wait or to be planned anew"
         if self.result.failures:

@@ -152,12 +152,8 @@ class PlanTask:
         return self._plan_run.executor
 
     @property
-    def footprint(self) -> ReadWriteSets:
-        """The needs and changes of all calls that the plan may still reach; during a pause, of the running ones."""
-        return self._context.under_way(self.executor.run) if self._context.control.is_paused else self._needed
-
-    @property
-    def _needed(self) -> ReadWriteSets:
+    def needed(self) -> ReadWriteSets:
+        """The needs and changes of all calls that the plan may still reach."""
         run = self.executor.run
         plan, calls = run.machine.plan, run.interim_result().calls
         is_flat = len(plan.every_step) == len(plan.calls)
@@ -165,9 +161,9 @@ class PlanTask:
         return read_write_sets([call for call in plan.calls if call.index not in ended], plan.goal, self._context.world)
 
     @property
-    def forecast(self) -> Forecast:
-        """The needs of the plan; their end depends on loops, choices and people."""
-        return Forecast(self.footprint)
+    def forecast(self) -> Forecast | None:
+        """None: the end of the needs of the plan depends on loops, choices and people."""
+        return None
 
     def resume(self) -> None:
         """Go on after a pause."""
@@ -175,7 +171,7 @@ class PlanTask:
 
     def why_no_step(self) -> str:
         """Return why nothing of the plan may begin now: others are at work with what it needs."""
-        others = self._context.scheduler.conflicts(self._context.task, lambda: self._needed)
+        others = self._context.scheduler.conflicts(self._context.task, lambda: self.needed)
         return f"the plan is in conflict with {', '.join(other.name for other in others)}" if others else ""
 
     async def _replanned(self, result: PlanResult) -> PlanResult:
