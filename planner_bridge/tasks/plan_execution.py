@@ -78,17 +78,15 @@ class PlanExecution(Observer):
 
     async def __aenter__(self) -> PlanExecution:
         self._context.control.begin_execution(self)
-        stop_listening, going_on = self._context.world.listen(self._changed), self._context.runner.going_on
-        going_on.append(self.executor)
+        stop_listening = self._context.world.listen(self._changed)
 
         def end(_: object) -> None:
             self._context.control.end_execution()
-            going_on.remove(self.executor)
             stop_listening()
             if self._timer:
                 self._timer.cancel()
 
-        self._future = asyncio.ensure_future(self.executor.execute())
+        self._future = asyncio.ensure_future(self._context.runner.execute_run(self.executor))
         self._future.add_done_callback(end)
         self._context.control.enter(TaskState.RUNNING)
         return self

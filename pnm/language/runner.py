@@ -267,14 +267,20 @@ class PlanRunner:
 
     async def execute(self, plan_run: PlanRun) -> RunResult:
         """Carry the plan out, within its time."""
-        self.going_on.append(plan_run.executor)
         plan_run.limit.note = partial(self.journal.counted, plan_run.executor.run.id)
         plan_run.limit.begin()
         try:
-            return await plan_run.executor.execute()
+            return await self.execute_run(plan_run.executor)
         finally:
-            self.going_on.remove(plan_run.executor)
             plan_run.limit.close()
+
+    async def execute_run(self, executor: Executor) -> RunResult:
+        """Carry a run out; whoever asks meanwhile finds it."""
+        self.going_on.append(executor)
+        try:
+            return await executor.execute()
+        finally:
+            self.going_on.remove(executor)
 
     def knowledge_of(self, request: UUID) -> tuple[Layered, Asker] | None:
         """Return the knowledge of the run with this request, and as whom it asks; None when it is not, or no longer, open."""
