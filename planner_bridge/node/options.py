@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any, Final
 
@@ -20,91 +20,63 @@ from pnm.files.yaml_nodes import Mapped, load_yaml
 from pnm.journal.kept import DAY, DURABILITIES, KEPT, LEASE
 from pnm.knowledge.sensor_file import sensing_in
 from pnm.knowledge.sensor_model import NO_SENSING, Sensing
-from pnm.ros.node.parameters import NodeParameter, ParameterValue
+from pnm.ros.node.parameters import NodeParameter, ParameterValue, parameter
 from pnm.tasks import OnConflict
-
-PARAMETERS: Final = (
-    NodeParameter("domain", "", "file with the domain, in PDDL"),
-    NodeParameter("problem", "", "file with the problem, in PDDL: the initial facts, and the default goal"),
-    NodeParameter("bindings", "", "file with the bindings of actions to servers; by default bindings.yaml beside the domain"),
-    NodeParameter("sensing", "", "file that maps topics and services to facts about the world"),
-    NodeParameter("goals", "", "YAML file with named goals"),
-    NodeParameter("problems", "", "folder of the PDDL files of problem/save and problem/load; without it they cannot name files"),
-    NodeParameter("world", "", "YAML file with a domain and hand-written plans, each of which becomes an action server"),
-    NodeParameter("world_name", "", "the world of that file, if there are several", option="name"),
-    NodeParameter("knowledge", "", "SQLite file or postgresql://… of the global knowledge, instead of the choice of the plans"),
-    NodeParameter(
-        "journal", "", "file of the tasks, or postgresql://… for several nodes: tasks go on from it after a crash;"
-        " by default one for the node and its files in ~/.local/state/pnm/journals; 'none' keeps nothing",
-    ),
-    NodeParameter(
-        "durability", "", "the crash that the journal survives: of the process, or of the computer, which is slower;"
-        " by default process-crash for a file, power-loss for PostgreSQL",
-        choices=tuple(DURABILITIES),
-    ),
-    NodeParameter("keep_days", KEPT / DAY, "days for which the journal keeps old records; tasks are listed for longer"),
-    NodeParameter(
-        "adopt", False, "whether to take a journal of another node or computer, a copy, or one without its last records"
-    ),
-    NodeParameter("lease", LEASE, "seconds after which another node takes over a journal in PostgreSQL from a silent one", least=1),
-    NodeParameter("planner", DEFAULT_PLANNER, "kairos, any engine of unified-planning, race, or race:NAME,NAME"),
-    NodeParameter("planner_timeout", 30.0, "seconds for the planner"),
-    NodeParameter("improve", IMPROVE, "seconds to search for a better plan, at most"),
-    NodeParameter("replans", 10, "how often the plan of a task may be replaced"),
-    NodeParameter("patience", 0.0, "seconds for which a goal without a plan waits for facts to change"),
-    NodeParameter("ask_for_help", False, "whether a person is asked when a goal cannot be reached: 'try again' or 'give up'"),
-    NodeParameter("max_tasks", 8, "how many tasks are planned for and carried out at a time", least=1),
-    NodeParameter("max_queue", 100, "how many more tasks may wait; others are refused"),
-    NodeParameter(
-        "on_failure", "continue_others", "treatment of running actions after a failure in their task",
-        choices=tuple(policy.value for policy in OnFailure),
-    ),
-    NodeParameter(
-        "on_change", "eager", "whether a task plans anew as soon as its plan cannot work any more, or when it gets there",
-        choices=tuple(policy.value for policy in OnChange),
-    ),
-    NodeParameter(
-        "on_conflict", "plan_around", "treatment of a goal in conflict with others, unless the goal specifies it",
-        choices=tuple(policy.word for policy in OnConflict if policy),
-    ),
-    NodeParameter("cancel", 20.0, "seconds for tasks to end when the node is shut down"),
-    NodeParameter("autostart", True, "whether the node configures and activates itself"),
-)  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True)
 class Options:
-    """The values of the parameters, as types of Python."""
+    """The parameters, and their values as types of Python."""
 
-    domain: Path | None
-    problem: Path | None
-    bindings: Path | None
-    sensing: Path | None
-    goals: Path | None
-    problems: Path | None
-    world: Path | None
-    world_name: str | None
-    knowledge: Place | None
-    journal: str
-    """A file, postgresql://…, 'none', or empty for the default."""
-    durability: bool | None
+    domain: Path | None = parameter("", "file with the domain, in PDDL")
+    problem: Path | None = parameter("", "file with the problem, in PDDL: the initial facts, and the default goal")
+    bindings: Path | None = parameter("", "file with the bindings of actions to servers; by default bindings.yaml beside the domain")
+    sensing: Path | None = parameter("", "file that maps topics and services to facts about the world")
+    goals: Path | None = parameter("", "YAML file with named goals")
+    problems: Path | None = parameter("", "folder of the PDDL files of problem/save and problem/load; without it they cannot name files")
+    world: Path | None = parameter("", "YAML file with a domain and hand-written plans, each of which becomes an action server")
+    world_name: str | None = parameter("", "the world of that file, if there are several", option="name")
+    knowledge: Place | None = parameter("", "SQLite file or postgresql://… of the global knowledge, instead of the choice of the plans")
+    journal: str = parameter(
+        "",
+        "file of the tasks, or postgresql://… for several nodes: tasks go on from it after a crash;"
+        " by default one for the node and its files in ~/.local/state/pnm/journals; 'none' keeps nothing",
+    )
+    durability: bool | None = parameter(
+        "",
+        "the crash that the journal survives: of the process, or of the computer, which is slower;"
+        " by default process-crash for a file, power-loss for PostgreSQL",
+        choices=tuple(DURABILITIES),
+    )
     """None for the default of the place of the journal."""
-    keep_days: float
-    adopt: bool
-    lease: float
-    planner: str
-    planner_timeout: float
-    improve: float
-    replans: int
-    patience: float
-    ask_for_help: bool
-    max_tasks: int
-    max_queue: int
-    on_failure: OnFailure
-    on_change: OnChange
-    on_conflict: OnConflict
-    cancel: float
-    autostart: bool
+    keep_days: float = parameter(KEPT / DAY, "days for which the journal keeps old records; tasks are listed for longer")
+    adopt: bool = parameter(False, "whether to take a journal of another node or computer, a copy, or one without its last records")
+    lease: float = parameter(LEASE, "seconds after which another node takes over a journal in PostgreSQL from a silent one", least=1)
+    planner: str = parameter(DEFAULT_PLANNER, "kairos, any engine of unified-planning, race, or race:NAME,NAME")
+    planner_timeout: float = parameter(30.0, "seconds for the planner")
+    improve: float = parameter(IMPROVE, "seconds to search for a better plan, at most")
+    replans: int = parameter(10, "how often the plan of a task may be replaced")
+    patience: float = parameter(0.0, "seconds for which a goal without a plan waits for facts to change")
+    ask_for_help: bool = parameter(False, "whether a person is asked when a goal cannot be reached: 'try again' or 'give up'")
+    max_tasks: int = parameter(8, "how many tasks are planned for and carried out at a time", least=1)
+    max_queue: int = parameter(100, "how many more tasks may wait; others are refused")
+    on_failure: OnFailure = parameter(
+        "continue_others",
+        "treatment of running actions after a failure in their task",
+        choices=tuple(policy.value for policy in OnFailure),
+    )
+    on_change: OnChange = parameter(
+        "eager",
+        "whether a task plans anew as soon as its plan cannot work any more, or when it gets there",
+        choices=tuple(policy.value for policy in OnChange),
+    )
+    on_conflict: OnConflict = parameter(
+        "plan_around",
+        "treatment of a goal in conflict with others, unless the goal specifies it",
+        choices=tuple(policy.word for policy in OnConflict if policy),
+    )
+    cancel: float = parameter(20.0, "seconds for tasks to end when the node is shut down")
+    autostart: bool = parameter(True, "whether the node configures and activates itself")
 
     @classmethod
     def of(cls, values: Mapping[str, ParameterValue]) -> Options:
@@ -124,6 +96,9 @@ class Options:
         given["on_change"] = OnChange(given["on_change"])
         given["durability"] = DURABILITIES.get(given["durability"])
         return cls(**given)
+
+
+PARAMETERS: Final = tuple([NodeParameter(one.name, **one.metadata) for one in fields(Options)])
 
 
 # --- bindings and sensors -------------------------------------------------------------------------

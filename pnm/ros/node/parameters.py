@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from sys import float_info
 from typing import Any, Final, TypeAlias
 
@@ -34,6 +34,11 @@ class NodeParameter:
     """The valid texts; empty if all are."""
     option: str = ""
     """The name of the command line's option, if it differs."""
+
+
+def parameter(default: ParameterValue, description: str, **more: Any) -> Any:
+    """Return a field for the value of a parameter, with what `NodeParameter` says of it besides its name."""
+    return field(metadata={"default": default, "description": description, **more})
 
 
 def declare(node: Any, parameters: Iterable[NodeParameter], given: Mapping[str, ParameterValue]) -> dict[str, ParameterValue]:
