@@ -25,6 +25,7 @@ from pnm.actions.backend import check_ready
 from pnm.core.logic.domain import Vocabulary
 from pnm.core.machine.bindings import Bindings
 from pnm.journal.kept import Fenced
+from pnm.journal.records import SharedBegan
 from pnm.journal.replay import Replay
 from pnm.knowledge.sources import Sources, Surroundings, open_sources
 from pnm.language.plan import merge_bindings, read_world, sources_of
@@ -56,9 +57,8 @@ class NodeContext:
 
     def begin_journal(self, anew: Callable[[], None] = lambda: None, loaded: tuple[str, ...] = ()) -> None:
         """Begin the journal anew, in the world as `anew` leaves it; it is not that of the files if other domain and problem were loaded."""
-        self.runner.journal.begin(
-            self.runner.world, self.runner.resources, anew, prefix=self.runner.prefix, origin=self.origin, loaded=loaded
-        )
+        began = SharedBegan(self.runner.resources.capacities, self.runner.prefix, self.origin, loaded=loaded)
+        self.runner.journal.begin(self.runner.world, self.runner.resources, anew, began)
 
     async def check(self, problem: Problem) -> Callable[[], Awaitable[None]]:
         """Refuse a problem that does not fit the robots that are there; return what has the sensors speak of its objects."""

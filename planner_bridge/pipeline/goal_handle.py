@@ -23,6 +23,7 @@ from pnm.errors import InputError, check_kinds
 from pnm.files.database.place import place_of
 from pnm.journal.journal import NO_JOURNAL, Journal
 from pnm.journal.kept import Fenced, JournalChoice
+from pnm.journal.records import SharedBegan
 from pnm.journal.replay import Replay
 from pnm.knowledge.source import Source
 from pnm.knowledge.sources import SourceChoice, Sources, Surroundings, make_source
@@ -102,7 +103,8 @@ class TaskJournal:
         runner = PlanRunner(programs, backend, world, source, journal, self.replay)
         if self.replay is None:
             command, seal = (self.taken.choice.command, self.taken.choice.seal) if self.taken else ((), "")
-            journal.begin(world, runner.resources, prefix=runner.prefix, origin=self.origin, command=command, seal=seal)
+            began = SharedBegan(runner.resources.capacities, runner.prefix, self.origin, command=command, seal=seal)
+            journal.begin(world, runner.resources, began=began)
         return runner
 
 

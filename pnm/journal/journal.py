@@ -7,6 +7,7 @@ import hashlib
 import logging
 from collections import Counter, deque
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from math import inf, isfinite
 from time import time
 from typing import Final, NotRequired, TypeAlias, TypedDict, Unpack
@@ -25,6 +26,7 @@ from pnm.core.resources import Resources
 from pnm.journal import records
 from pnm.journal.codec import Codec
 from pnm.journal.kept import DAY, KEPT, LISTED, UNSHARED, Fenced, Hold, JournalError, Row, StandBys, TaskRow, log_end
+from pnm.journal.records import SharedBegan
 from pnm.journal.replay import Replay, ReplayedRun
 from pnm.journal.store import JournalFile
 from pnm.tasks import REMEMBERED, TaskEnding, TaskState, Wanted
@@ -49,35 +51,28 @@ class RunOptions(TypedDict):
     tells: NotRequired[bool]
 
 
-class WorldOptions(TypedDict, total=False):
-    """The further beginning of a journal, as in `pnm.journal.records.SharedBegan`."""
-
-    prefix: bytes
-    origin: str
-    command: tuple[str, ...]
-    seal: str
-    loaded: tuple[str, ...]
-
-
 class Journal:
     """The journal of runs, in which nothing is kept."""
 
     blocked: str = ""
     """Why nothing can be kept at present; empty if it can."""
+    _hold: Hold = UNSHARED
+    _is_lost = False
+    """Whether another process has the journal."""
 
     def begin(
-        self, knowledge: KnowledgeBase, resources: Resources, anew: Callable[[], None] = lambda: None, **world: Unpack[WorldOptions]
+        self, knowledge: KnowledgeBase, resources: Resources, anew: Callable[[], None] = lambda: None, began: SharedBegan | None = None
     ) -> None:
-        """Record what runs share: the knowledge as `anew` leaves it, what changes in it from then on, and the capacities of resources."""
+        """Record what runs share: the knowledge as `anew` leaves it, what changes in it from then on, and `began`, which is now."""
         anew()
 
     def may_act(self) -> bool:
         """Return whether something may leave this process; asked by any thread, right before that."""
-        return True
+        return not self._is_lost and self._hold.is_mine()
 
     def stand_bys(self) -> StandBys:
         """Return the processes that stand by to go on with it, as far as they can be seen."""
-        return StandBys()
+        return self._hold.stand_bys()
 
     def make_run(
         self, machine: PetriNetMachine, knowledge: Layered, *, name: str = "", caller: UUID | None = None, **options: Unpack[RunOptions]
@@ -97,9 +92,11 @@ class Journal:
 
     def succeeded(self, run: Run, successor: Run) -> None:
         """Record that a run has taken the place of another."""
+        self._record(records.RunSucceeded(run.id, successor.id, records.became(run.result_so_far(), run.machine.plan)))
 
     def retired(self, run: Run) -> None:
         """Record that a run is not carried on."""
+        self._record(records.RunRetired(run.id, records.became(run.result_so_far(), run.machine.plan)))
 
     def confirmed(self, request: UUID, resources: Resources) -> None:
         """Record that the server of a request that was given up has confirmed its end, and free what it has kept."""
@@ -214,7 +211,6 @@ class WrittenJournal(Journal):
         self._is_astray = False
         """Whether its file was not found when nothing was to be written."""
         self._is_lost = False
-        """Whether another process has the journal."""
         self._is_closed = False
         self._resources, self._shared = told.resources, told.shared
         self._segment_began, self._length = told.segment_began, told.length
@@ -237,23 +233,15 @@ class WrittenJournal(Journal):
             records.follow(number, base, self._changed)
         hold.keep(self._look, self._lose)
 
-    def may_act(self) -> bool:
-        """Return whether something may leave this process; asked by any thread, right before that."""
-        return not self._is_lost and self._hold.is_mine()
-
-    def stand_bys(self) -> StandBys:
-        """Return the processes that stand by to go on with it, as far as they can be seen."""
-        return self._hold.stand_bys()
-
     def begin(
-        self, knowledge: KnowledgeBase, resources: Resources, anew: Callable[[], None] = lambda: None, **world: Unpack[WorldOptions]
+        self, knowledge: KnowledgeBase, resources: Resources, anew: Callable[[], None] = lambda: None, began: SharedBegan | None = None
     ) -> None:
-        """Record what runs share: the knowledge as `anew` leaves it, what changes in it from then on, and the capacities of resources."""
+        """Record what runs share: the knowledge as `anew` leaves it, what changes in it from then on, and `began`, which is now."""
         self._is_replaced = True
         anew()
         self._is_replaced = False
         self._resources = resources
-        self._shared = records.SharedBegan(resources.capacities, began=self._loop.time(), **world)
+        self._shared = replace(began or SharedBegan(resources.capacities), began=self._loop.time())
         self._begin_segment(knowledge, self._shared)
 
     def make_run(
@@ -299,14 +287,6 @@ class WrittenJournal(Journal):
         """Return a run that was replayed, connected to what it is to go on with."""
         return super().go_on(replayed, observer, self._remembering(goal_fields))
 
-    def succeeded(self, run: Run, successor: Run) -> None:
-        """Record that a run has taken the place of another."""
-        self._record(records.RunSucceeded(run.id, successor.id, records.became(run.result_so_far(), run.machine.plan)))
-
-    def retired(self, run: Run) -> None:
-        """Record that a run is not carried on."""
-        self._record(records.RunRetired(run.id, records.became(run.result_so_far(), run.machine.plan)))
-
     def accepted(self, wanted: Wanted, order: int) -> None:
         """Keep a task that is about to be accepted; raise `JournalError` if it cannot be kept."""
         task = records.TaskAccepted(wanted, order, self._wall())
@@ -344,7 +324,7 @@ class WrittenJournal(Journal):
         self._hold.release()
         self._file.close()
 
-    def _begin_segment(self, world: KnowledgeBase, shared: records.SharedBegan) -> None:
+    def _begin_segment(self, world: KnowledgeBase, shared: SharedBegan) -> None:
         """Begin a segment, with all that is to be known without those before it; and drop what is old."""
         if self._bases.get(records.WORLD) is not world:
             records.follow(records.WORLD, world, self._changed)

@@ -18,7 +18,7 @@ from pnm.core.machine.requests import Accepted
 from pnm.core.resources import Resources
 from pnm.journal.codec import Codec
 from pnm.journal.kept import Fenced, JournalChoice, Row
-from pnm.journal.records import KnowledgeDelta
+from pnm.journal.records import KnowledgeDelta, SharedBegan
 from pnm.journal.replay import Replay
 from pnm.journal.resume import take_up
 from pnm.journal.store import JournalFile
@@ -49,7 +49,7 @@ def test_a_process_that_died_while_it_made_the_journal_leaves_an_empty_one(tmp_p
 def test_what_another_process_adds_until_its_journal_is_taken_is_replayed_and_nothing_can_be_added_then(tmp_path: Path) -> None:
     async def begin() -> None:
         journal = take_up(JournalChoice(tmp_path / "journal"), TASKS, "here").write()
-        journal.begin(KnowledgeBase({("at", "hall"): True}), Resources(), origin="here")
+        journal.begin(KnowledgeBase({("at", "hall"): True}), Resources(), began=SharedBegan({}, origin="here"))
         journal.close()
 
     asyncio.run(begin())

@@ -31,7 +31,7 @@ OTHER = Wanted(UUID(int=2), "(other)")
 
 def begun(taken: Taken, world: KnowledgeBase, origin: str = "here") -> WrittenJournal:
     journal = taken.write()
-    journal.begin(world, Resources(), origin=origin)
+    journal.begin(world, Resources(), began=SharedBegan({}, origin=origin))
     return journal
 
 

@@ -19,6 +19,7 @@ from planner_bridge.tasks.task_manager import TaskManager
 from pnm.actions.backend import ClientBackend
 from pnm.clock import FollowingLoop, run_async
 from pnm.journal.kept import JournalChoice
+from pnm.journal.records import SharedBegan
 from pnm.journal.resume import take_up
 from pnm.language.runner import PlanRunner
 from pnm.tasks import TaskEnding, TaskListener
@@ -56,7 +57,7 @@ async def carry_out(scenario: Scenario, journal_file: Path, end: socket.socket, 
     knowledge = replay.world if replay else initial_knowledge(scenario.problem)
     runner = PlanRunner({}, ClientBackend(robots), knowledge, None, journal, replay)
     if not replay:
-        journal.begin(knowledge, runner.resources, prefix=runner.prefix, origin=ORIGIN)
+        journal.begin(knowledge, runner.resources, began=SharedBegan(runner.resources.capacities, runner.prefix, ORIGIN))
     manager = TaskManager(scenario.problem, runner, scenario.settings, scenario.read_goal)
     ends = _Ends()
     manager.listen(ends)
