@@ -7,7 +7,7 @@ delay, or not before a time. Then all steps stand in one list, and each has all 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence, Set
+from collections.abc import Iterator, Mapping, Sequence, Set
 from dataclasses import dataclass
 from math import inf
 from typing import TypeAlias, assert_never
@@ -15,7 +15,8 @@ from typing import TypeAlias, assert_never
 from planner_bridge.model.problem import Domain
 from planner_bridge.pddl.expressions import number_text
 from planner_bridge.yaml.emitter import Bare, Entry, Value, YamlMapping, items, single
-from pnm.core.machine.plan_graph import Moment, Ordering, PlanEvent, PlanGraph
+from pnm.core.machine.plan_graph import Moment, Ordering, PlanEvent, PlanGraph, necessary
+from pnm.core.net.orders import closure, reduced
 from pnm.errors import InputError
 
 
@@ -30,19 +31,13 @@ class _StepWriter:
     domain: Domain
 
     def steps(self) -> list[YamlMapping]:
-        order = self.graph.order
-        places = {event: place for place, event in enumerate(order)}
-        own = [(places[PlanEvent(call.index, Moment.START)], places[PlanEvent(call.index, Moment.END)]) for call in self.graph.calls]
-        edges = [(places[ordering.before], places[ordering.after]) for ordering in self.graph.orderings]
-        before = reduced(len(order), [*own, *edges])
-        # only those that do not follow from others
-        orderings = [ordering for ordering, (i, j) in zip(self.graph.orderings, edges, strict=True) if ordering.delay or i in before[j]]
+        orderings = necessary(self.graph.flow)
         simple = all(
             ordering.before.moment is Moment.END and ordering.after.moment is Moment.START and not ordering.delay for ordering in orderings
         )
         if not simple or any(call.release or min(call.latest_start, call.deadline) < inf for call in self.graph.calls):
             return self._explicit(orderings)
-        calls = list(dict.fromkeys(event.call for event in order))
+        calls = list(dict.fromkeys(event.call for event in self.graph.order))
         numbers = {call: number for number, call in enumerate(calls)}
         match blocks(reduced(len(calls), [(numbers[ordering.before.call], numbers[ordering.after.call]) for ordering in orderings])):
             case Series(parts):
@@ -76,7 +71,7 @@ class _StepWriter:
             usual = {*usual, number}.difference(others) if in_sequence else usual
         return steps
 
-    def _explicit(self, orderings: list[Ordering]) -> list[YamlMapping]:
+    def _explicit(self, orderings: Sequence[Ordering]) -> list[YamlMapping]:
         """Write all steps in one list, each with all it waits for and its times."""
         named = self._names({ordering.before.call for ordering in orderings})
         steps: list[YamlMapping] = []
@@ -157,26 +152,6 @@ class Mesh:
 
 
 Block: TypeAlias = int | Series | Parallel | Mesh
-
-
-def reduced(size: int, edges: Iterable[tuple[int, int]]) -> list[tuple[int, ...]]:
-    """Return, for elements numbered in an order that fits, those that come directly before each: the transitive reduction."""
-    before: list[set[int]] = [set() for _ in range(size)]
-    for first, second in edges:
-        before[second].add(first)
-    earlier = closure(before)
-    return [tuple(sorted(element for element in own if not any(earlier[other] >> element & 1 for other in own))) for own in before]
-
-
-def closure(before: Sequence[Iterable[int]]) -> list[int]:
-    """Return, for elements numbered in an order that fits, the set of all that come before each."""
-    earlier: list[int] = []
-    for own in before:
-        ancestors = 0
-        for element in own:
-            ancestors |= earlier[element] | 1 << element
-        earlier.append(ancestors)
-    return earlier
 
 
 def blocks(before: Sequence[tuple[int, ...]]) -> Block:

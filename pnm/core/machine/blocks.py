@@ -8,7 +8,7 @@ from functools import cached_property
 from typing import Any
 
 from pnm.core.machine.guards import Due, Guard, Rule
-from pnm.core.machine.plan_graph import Moment, Ordering, PlanEvent, Step
+from pnm.core.machine.plan_graph import Moment, Ordering, PlanEvent, Step, necessary
 from pnm.core.machine.step_block import BlockTemplate, Inner, Terms
 from pnm.core.net.block_net import BlockNet, Placed
 from pnm.core.net.net import Weights
@@ -53,6 +53,7 @@ class PlacedRegion:
 
     def __init__(self, inner: Inner, owner: int | None, place: int) -> None:
         self.inner, self.owner, self.place = inner, owner, place
+        self.orderings = necessary(inner.flow)
         self.borders: list[PlanEvent | None] = []
         """The meanings of the places after those of the orderings; None for the place of a flow without steps."""
 
@@ -63,17 +64,17 @@ class PlacedRegion:
 
     def stands_for(self, place: int) -> Ordering | PlanEvent | None:
         """Return the meaning of one of its places: an ordering, or a step that is entered or left by the owner."""
-        number = place - self.place - len(self.inner.flow.orderings)
-        return self.borders[number] if number >= 0 else self.inner.flow.orderings[number]
+        number = place - self.place - len(self.orderings)
+        return self.borders[number] if number >= 0 else self.orderings[number]
 
     @property
     def count(self) -> int:
         """The number of places."""
-        return len(self.inner.flow.orderings) + len(self.borders)
+        return len(self.orderings) + len(self.borders)
 
     def bordering(self, moment: Moment) -> tuple[int, ...]:
         """Return the places that the owner marks, at the start of its steps, or those that it takes from, at their ends."""
-        places = enumerate(self.borders, self.place + len(self.inner.flow.orderings))
+        places = enumerate(self.borders, self.place + len(self.orderings))
         return tuple([place for place, event in places if event is None or event.moment is moment])
 
     @cached_property
@@ -83,7 +84,7 @@ class PlacedRegion:
 
     def place_name(self, number: int) -> str:
         """Return the name of one of its places."""
-        orderings, begin, end = self.inner.flow.orderings, self.inner.begin, self.inner.end
+        orderings, begin, end = self.orderings, self.inner.begin, self.inner.end
         if number < len(orderings):
             before, after = orderings[number].before, orderings[number].after
             return f"{before.moment.value} {self.steps[before.call]} < {after.moment.value} {self.steps[after.call]} ({number})"

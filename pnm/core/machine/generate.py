@@ -89,8 +89,8 @@ class Builder:
     def _region(self, inner: Inner, owner: int | None, place: int) -> PlacedRegion:
         """Make the places between the steps of a flow, and those between its owner and its first and last steps."""
         region, into, out_of = PlacedRegion(inner, owner, place), self._into, self._out_of
-        # A place for each ordering, even between the same events: each is marked once and taken once, so no place holds two tokens.
-        for number, ordering in enumerate(inner.flow.orderings, place):
+        # A place for each ordering that does not follow from others: each is marked once and taken once, so no place holds two tokens.
+        for number, ordering in enumerate(region.orderings, place):
             out_of.setdefault(ordering.before, []).append(number)
             into.setdefault(ordering.after, []).append(number)
             if ordering.delay > 0:

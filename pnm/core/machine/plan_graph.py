@@ -23,7 +23,7 @@ from pnm.core.logic.effects import Effects, ground_effects, names_written
 from pnm.core.logic.expressions import DURATION, Environment, Fluent, fluent_text
 from pnm.core.logic.rules import NO_RULES, Rules
 from pnm.core.machine.failure_causes import Cause
-from pnm.core.net.orders import topological_order
+from pnm.core.net.orders import reduced, topological_order
 from pnm.core.resources import check_capacity
 from pnm.errors import PnmError
 
@@ -452,6 +452,21 @@ class PlanGraph:
 
     def __repr__(self) -> str:
         return f"<PlanGraph {len(self.calls)} calls, {len(self.orderings)} orderings>"
+
+
+def necessary(flow: Flow) -> tuple[Ordering, ...]:
+    """Return the orderings that do not follow from others; all that have a delay are among them."""
+    position = {event: number for number, event in enumerate(in_order(flow))}
+    own = {(position[PlanEvent(step.index, Moment.START)], position[PlanEvent(step.index, Moment.END)]) for step in flow.steps}
+    pairs = [(position[ordering.before], position[ordering.after]) for ordering in flow.orderings]
+    directly = reduced(len(position), [*own, *pairs])
+    known = own | {pair for ordering, pair in zip(flow.orderings, pairs, strict=True) if ordering.delay}
+    found: list[Ordering] = []
+    for ordering, (first, second) in zip(flow.orderings, pairs, strict=True):
+        if ordering.delay or (first in directly[second] and (first, second) not in known):
+            known.add((first, second))
+            found.append(ordering)
+    return tuple(found)
 
 
 def _check_orderings(flow: Flow) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from heapq import heapify, heappop, heappush
 from itertools import count
@@ -41,6 +41,26 @@ def topological_order(preceding: Sequence[Sequence[int]], rank: Callable[[int], 
             if not missing[number]:
                 heappush(ready, (rank(number), number))
     return in_order
+
+
+def reduced(size: int, edges: Iterable[tuple[int, int]]) -> list[tuple[int, ...]]:
+    """Return, for elements numbered in an order that fits, those that come directly before each: the transitive reduction."""
+    before: list[set[int]] = [set() for _ in range(size)]
+    for first, second in edges:
+        before[second].add(first)
+    earlier = closure(before)
+    return [tuple(sorted(element for element in own if not any(earlier[other] >> element & 1 for other in own))) for own in before]
+
+
+def closure(before: Sequence[Iterable[int]]) -> list[int]:
+    """Return, for elements numbered in an order that fits, the set of all that come before each."""
+    earlier: list[int] = []
+    for own in before:
+        ancestors = 0
+        for element in own:
+            ancestors |= earlier[element] | 1 << element
+        earlier.append(ancestors)
+    return earlier
 
 
 @dataclass(frozen=True, slots=True)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable
 from itertools import count, product
 
 from hypothesis import given, strategies as st
@@ -11,6 +10,7 @@ from hypothesis import given, strategies as st
 from pnm.core.machine.generate import generate
 from pnm.core.machine.plan_graph import ActionCall, Flow, Junction
 from pnm.language.plan import HandWrittenPlan
+from tests.support.runs.plan_graphs import closure
 from tests.support.yaml.programs import Json, as_yaml, only_plan
 
 # --- what comes before what in a step, as it stands in the file ----------------------------
@@ -35,18 +35,10 @@ def earlier(block: Json) -> set[tuple[int, int]]:
     """
     parts = parts_of(block) or []
     numbers = range(len(parts))
-    said = closure({(int(one[1:]), number) for number, part in enumerate(parts) for one in part.get("after", ())}, numbers)
+    said = closure({(int(one[1:]), number) for number, part in enumerate(parts) for one in part.get("after", ())})
     unsaid = [number for number in numbers if "after" not in parts[number] and "sequence" in block]
     usual = {(one, number) for number in unsaid for one in range(number) if not any((later, one) in said for later in numbers[number:])}
-    return closure(said | usual, numbers)
-
-
-def closure(pairs: set[tuple[int, int]], numbers: Iterable[int]) -> set[tuple[int, int]]:
-    found = set(pairs)
-    for middle, first, last in product(numbers, repeat=3):
-        if (first, middle) in found and (middle, last) in found:
-            found.add((first, last))
-    return found
+    return closure(said | usual)
 
 
 def before(step: Json, start: int = 0) -> set[tuple[int, int]]:
@@ -85,7 +77,7 @@ def in_flow(flow: Flow) -> set[tuple[int, int]]:
     numbers = {step.index: number for number, step in enumerate(flow.steps)}
     pairs = {(numbers[one.before.call], numbers[one.after.call]) for one in flow.orderings}
     real = [number for number, step in enumerate(flow.steps) if not isinstance(step, Junction)]
-    return {(real.index(one), real.index(two)) for one, two in closure(pairs, range(len(flow.steps))) if one in real and two in real}
+    return {(real.index(one), real.index(two)) for one, two in closure(pairs) if one in real and two in real}
 
 
 # --- all steps -----------------------------------------------------------------------------

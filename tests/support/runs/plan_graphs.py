@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import random
+from collections.abc import Iterable
 from math import inf
+from typing import TypeVar
 
 from hypothesis import strategies as st
 
@@ -26,6 +28,7 @@ from pnm.core.machine.plan_graph import (
     Then,
 )
 
+T = TypeVar("T")
 _MOMENTS = {"s": Moment.START, "e": Moment.END}
 
 
@@ -123,3 +126,11 @@ def plans(draw: st.DrawFn, most: int = 4) -> PlanGraph:
     )
     delays = [draw(times) if after.moment is Moment.START else 0.0 for _, after in chosen]
     return PlanGraph(calls, tuple(Ordering(*pair, delay=delay) for pair, delay in zip(chosen, delays, strict=True)))
+
+
+def closure(pairs: Iterable[tuple[T, T]]) -> set[tuple[T, T]]:
+    """Return the pairs, and those that follow from them."""
+    found = {*pairs}
+    while more := {(one, last) for one, middle in found for again, last in found if middle == again} - found:
+        found |= more
+    return found

@@ -24,7 +24,7 @@ from pnm.core.machine.call_block import CallTerms, is_direct
 from pnm.core.machine.failure_causes import ASKED, Cause
 from pnm.core.machine.guards import Guard, Rule
 from pnm.core.machine.machine import PetriNetMachine, Region
-from pnm.core.machine.plan_graph import ActionCall, Moment, PlanGraph, Recovery, Step, Then, flows
+from pnm.core.machine.plan_graph import ActionCall, Moment, PlanGraph, Recovery, Step, Then, flows, necessary
 from pnm.core.machine.requests import OutcomeKind, TransitionAction
 from pnm.core.machine.step_block import PORTS, Context, Port
 from pnm.core.machine.verification.part import CallRule, Unsound
@@ -107,7 +107,7 @@ class AskedOf:
         starts_anew = plan.restart_limit > 0
         self._once, self._often = (Context(plan, bindings, starts_anew, repeated) for repeated in (starts_anew, True))
         self._again = frozenset[int]() if starts_anew else frozenset(_reached_again(plan))
-        orderings = [one for flow in (plan.flow, *(flow for step in plan.every_step for flow in flows(step))) for one in flow.orderings]
+        orderings = [one for flow in (plan.flow, *(flow for step in plan.every_step for flow in flows(step))) for one in necessary(flow)]
         self._announce = {one.before.call for one in orderings if one.before.moment is Moment.START}
         self._delay = {one.after.call for one in orderings if one.delay}
         self._await = {one.after.call for one in orderings if one.after.moment is Moment.END}

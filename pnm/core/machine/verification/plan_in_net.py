@@ -1,9 +1,9 @@
-"""Is the net that of its plan? The regions are its flows, and every ordering is a place that its two events keep in that order."""
+"""Is the net that of its plan? The regions are its flows, and every ordering is kept: by a place between its events, or by others."""
 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from typing import Final
 
 from pnm.core.machine.blocks import START, MachineBlocks, PlacedRegion, PlacedStep
@@ -15,12 +15,13 @@ from pnm.core.machine.step_block import PORTS, Port
 from pnm.core.machine.verification.decompose import PlacedBlock
 from pnm.core.machine.verification.part import Unsound
 from pnm.core.net.block_net import Segment
+from pnm.core.net.orders import closure
 
 _BEGINNINGS = (TransitionAction.BEGIN, TransitionAction.ADOPT)
 
 
 def check_flows(machine: PetriNetMachine) -> None:
-    """Check that the machine has a region for every flow of the plan, and a place for every ordering.
+    """Check that the machine has a region for every flow of the plan, and a place for every ordering that does not follow from others.
 
     Raises:
         Unsound: it lacks one, or has one that the plan has not.
@@ -32,10 +33,24 @@ def check_flows(machine: PetriNetMachine) -> None:
         raise Unsound(f"the steps {sorted(members)} of {'the plan' if owner is None else f'step {owner}'} are not those of a region")
     wanted = Counter(ordering for _, flow in owned for ordering in flow.orderings)
     kept = Counter(machine.orderings.values())
-    for ordering in wanted - kept:
-        raise Unsound(f"no place keeps {ordering}")
     for ordering in kept - wanted:
         raise Unsound(f"the plan does not ask for {ordering}")
+    for _, flow in owned:
+        for ordering in _not_kept(flow, kept):
+            raise Unsound(f"no place keeps {ordering}")
+
+
+def _not_kept(flow: Flow, kept: Collection[Ordering]) -> Iterator[Ordering]:
+    """Yield the orderings of a flow that have no place, and do not follow from those that have one."""
+    position = {event: number for number, event in enumerate(in_order(flow))}
+    before: list[list[int]] = [[] for _ in position]
+    steps = ((PlanEvent(step.index, Moment.START), PlanEvent(step.index, Moment.END)) for step in flow.steps)
+    for first, second in (*steps, *((ordering.before, ordering.after) for ordering in flow.orderings if ordering in kept)):
+        before[position[second]].append(position[first])
+    earlier = closure(before)
+    for ordering in flow.orderings:
+        if ordering not in kept and (ordering.delay or not earlier[position[ordering.after]] >> position[ordering.before] & 1):
+            yield ordering
 
 
 def _flows(plan: PlanGraph) -> list[tuple[int | None, Flow]]:

@@ -207,7 +207,7 @@ def _sample(machine: PetriNetMachine, blocks: MachineBlocks) -> _Sample:
             continue
         region, template = regions.get(step.index), block.template
         # the places at which the block is entered, and left, directly from what holds it, by its ports
-        first_border = 0 if region is None else region.place + len(region.inner.flow.orderings)
+        first_border = 0 if region is None else region.place + len(region.orderings)
         borders = [[place for place in places if place >= first_border] for places in block.ports[:4]]
         guards = blocks.own_guards(block)
         content = contents.check(block, step, guards) if isinstance(step, ActionCall) else template

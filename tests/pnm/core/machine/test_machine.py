@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import replace
 from math import inf
 from random import Random
@@ -30,7 +31,7 @@ from pnm.core.machine.guards import (
     Withheld,
 )
 from pnm.core.machine.machine import OnFailure
-from pnm.core.machine.plan_graph import GroundAction, PlanGraph, PlanGraphError
+from pnm.core.machine.plan_graph import GroundAction, Moment, Ordering, PlanEvent, PlanGraph, PlanGraphError
 from pnm.core.machine.requests import OutcomeKind, TransitionAction
 from pnm.core.machine.verification.explore import explore_part
 from pnm.core.machine.verification.part import Part, PartStep, Unsound, shape_of
@@ -41,7 +42,7 @@ from tests.support.runs.mutation.changes import with_input, with_rule, without_t
 from tests.support.runs.mutation.forgotten import alone, forgetting
 from tests.support.runs.mutation.gate import check_proof_of_mutants
 from tests.support.runs.mutation.machines import as_text, blocks_of, random_machine, written_out
-from tests.support.runs.plan_graphs import plan, plan_of, plans
+from tests.support.runs.plan_graphs import closure, plan, plan_of, plans
 
 SHAPES = {
     "empty": plan(0),
@@ -163,6 +164,20 @@ def test_orderings_that_contradict_each_other_are_refused() -> None:
 
 
 # --- blocks: the proof looks at every one, although they share templates ---
+
+
+@given(plans(most=3))
+def test_an_ordering_has_a_place_if_it_does_not_follow_from_others(graph: PlanGraph) -> None:
+    own = {(PlanEvent(call.index, Moment.START), PlanEvent(call.index, Moment.END)) for call in graph.calls}
+
+    def kept(orderings: Collection[Ordering]) -> set[tuple[PlanEvent, PlanEvent]]:
+        return closure({*own, *((one.before, one.after) for one in orderings)})
+
+    found = generate(graph).orderings.values()
+    assert kept(found) == kept(graph.orderings)
+    assert {one for one in graph.orderings if one.delay} <= {*found}
+    for one in found:
+        assert one.delay or kept({*found} - {one}) != kept(found)
 
 
 def test_a_machine_is_the_same_if_no_block_shares_its_template() -> None:

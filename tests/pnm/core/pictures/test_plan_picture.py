@@ -21,7 +21,7 @@ from pnm.core.machine.plan_graph import Moment, Ordering, PlanEvent, PlanGraph, 
 from pnm.core.pictures.net_picture import net_svg
 from pnm.core.pictures.plan_picture import COLUMNS, laid_out, plan_dot, plan_svg
 from pnm.core.pictures.timeline import timeline_svg
-from tests.support.runs.plan_graphs import nested_plan, plan, plans, two_robots
+from tests.support.runs.plan_graphs import closure, nested_plan, plan, plans, two_robots
 
 GOLDEN = Path(__file__).parent / "golden"
 PICTURES: dict[str, Callable[[PlanGraph], str]] = {"plan.svg": plan_svg, "plan.dot": plan_dot}
@@ -63,13 +63,6 @@ def test_the_arrows_say_all_that_the_orderings_do_and_none_follows_from_others(g
     assert all(closure(waits - {pair}) != closure(waits) for pair in waits)
     at_end = {(one.before.call, one.after.call) for one in graph.orderings if one.after.moment is Moment.END}
     assert {(arrow.before, arrow.after) for arrow in arrows if arrow.is_for_the_end} == {pair for pair in at_end if pair[0] != pair[1]}
-
-
-def closure(pairs: set[tuple[int, int]]) -> set[tuple[int, int]]:
-    found = set(pairs)
-    while more := {(a, d) for a, b in found for c, d in found if b == c} - found:
-        found |= more
-    return found
 
 
 @given(plans(most=12))
