@@ -166,7 +166,13 @@ def planning_within(improve: float) -> Decorator:
             "--planner", default="kairos", show_default=True, help="kairos, any engine of unified-planning, race, or race:NAME,NAME"
         ),
         click.option("--planner-timeout", type=Seconds(0.01), default=30.0, show_default=True, help="seconds for the planner"),
-        click.option("--improve", type=Seconds(0), default=improve, show_default=True, help="seconds to search for a better plan, at most"),
+        click.option(
+            "--improve",
+            type=Seconds(0),
+            default=improve,
+            show_default=True,
+            help="seconds to search for a better plan, at most; 0: the first plan, the same every time",
+        ),
     )
 
 

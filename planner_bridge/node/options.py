@@ -54,7 +54,7 @@ class Options:
     lease: float = parameter(LEASE, "seconds after which another node takes over a journal in PostgreSQL from a silent one", least=1)
     planner: str = parameter(DEFAULT_PLANNER, "kairos, any engine of unified-planning, race, or race:NAME,NAME")
     planner_timeout: float = parameter(30.0, "seconds for the planner")
-    improve: float = parameter(IMPROVE, "seconds to search for a better plan, at most")
+    improve: float = parameter(IMPROVE, "seconds to search for a better plan, at most; 0: the first plan, the same every time")
     replans: int = parameter(10, "how often the plan of a task may be replaced")
     patience: float = parameter(0.0, "seconds for which a goal without a plan waits for facts to change")
     ask_for_help: bool = parameter(False, "whether a person is asked when a goal cannot be reached: 'try again' or 'give up'")

@@ -36,6 +36,8 @@ from pnm.files.process import forget_safe_path, safe_path
 _GRACE: Final = 2.0
 """Seconds that a process gets to end by itself once the stop file is there."""
 _POLL: Final = 0.05
+_HARDLY: Final = 0.001
+"""Seconds for which Kairos improves its plan: others wait for it; and not 0, which asks for one search alone."""
 
 _FAILURES: Final = (
     PlanningStatus.DISAGREEMENT,
@@ -118,7 +120,7 @@ def check_members(planners: tuple[str, ...]) -> None:
 def search_in_worker(domain: str, problem: str, planner: str, timeout: float, stop_file: str) -> PlanningResult:
     """Search with one of the planners, until the stop file appears; the arguments are plain data, so that any executor can pass them."""
     try:
-        return search(parse_problem(problem, parse_domain(domain)), planner, timeout, _StopFile(Path(stop_file)))
+        return search(parse_problem(problem, parse_domain(domain)), planner, timeout, _StopFile(Path(stop_file)), improve=_HARDLY)
     except InputError as error:
         return PlanningResult(PlanningStatus.INVALID, message=str(error))
 

@@ -79,7 +79,7 @@ class Settings:
     planner: str = DEFAULT_PLANNER
     planner_timeout: float = 30.0
     improve: float = IMPROVE
-    """Seconds for which a better plan is looked for once there is one, at most."""
+    """Seconds for which a better plan is looked for once there is one, at most; 0 for the first plan, the same every time."""
     bindings: Bindings = field(default_factory=Bindings)
     limits: Limits = field(default_factory=Limits)
     on_failure: OnFailure = OnFailure.DRAIN
