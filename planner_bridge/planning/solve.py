@@ -53,7 +53,7 @@ def solve(
     Args:
         planner: kairos, an engine of unified-planning, ``race`` for several at once, or ``race:kairos,aries`` for these.
         timeout: seconds that the search may take, besides the time to load a planner; a plan that is found late keeps what it has.
-        improve: seconds for which Kairos looks for a better plan once there is one, at most; 0 for the first plan.
+        improve: seconds for which Kairos looks for a better plan once there is one, at most; 0 for the first plan, the same every time.
         cancel: set from another thread to end the search.
         executor: runs the planners of a portfolio; a process pool by default.
 
@@ -103,11 +103,11 @@ def _portfolio_members(planner: str) -> tuple[str, ...]:
 # Greedy action elimination (Nakhost and Müller, Action Elimination and Plan Neighborhood Graph Search, 2010): a step is left out, and
 # with it all steps that cannot be carried out then; if the goal is reached all the same, and at no higher cost, the plan stays so.
 # Steps without which no part of the plan reaches the goal (`indispensable`) are not tried, and where one of them is lost the rest need not
-# be looked at: robots wait for this. When the time is over, the plan stays as it is by then.
+# be looked at: robots wait for this. When the work or the time is over, the plan stays as it is by then.
 
 
-MAX_STEPS: Final = 250
-"""Steps of a plan that is reduced: the work may grow with the square of their number."""
+WORK: Final = 32_000
+"""Happenings that are simulated at most: enough for every step of a plan of 250. All of them would grow with the square of its length."""
 
 
 def reduced(problem: Problem, result: PlanningResult, parsed: kairos.Problem | None = None, *, until: float = inf) -> PlanningResult:
@@ -118,7 +118,7 @@ def reduced(problem: Problem, result: PlanningResult, parsed: kairos.Problem | N
         until: when to stop looking, on the clock of `time.monotonic`; the plan may have needless steps then.
     """
     plan = result.plan
-    if plan is None or problem.network or problem.has_preferences or len(plan.steps) > MAX_STEPS:
+    if plan is None or problem.network or problem.has_preferences:
         return result
     if problem.metric is not None:
         plan = replace(plan, cost=_cost(problem, plan))
@@ -165,7 +165,7 @@ def indispensable(problem: Problem, actions: Sequence[GroundAction]) -> frozense
 class _Elimination:
     """The search for needless steps: one simulation of the plan, and one of the rest for every step that may be needless.
 
-    The mutable state is the plan, the numbers of the steps that were left out, and which of the first plan's steps are left.
+    The mutable state is the plan, the numbers of the steps that were left out, and the work that is left.
     """
 
     def __init__(self, problem: Problem, plan: Plan) -> None:
@@ -176,6 +176,7 @@ class _Elimination:
         self._needed = indispensable(problem, self._actions)
         self._plan = plan
         self._lost = frozenset[int]()
+        self._work = WORK
 
     def without_needless(self, until: float) -> Plan:
         """Return the plan without its needless steps, as far as they are found by then.
@@ -187,7 +188,7 @@ class _Elimination:
             for index in (event.call for event in happening.events if event.moment is Moment.START):
                 if index in self._lost or index in self._needed:
                     continue
-                if time.monotonic() >= until:
+                if self._work <= 0 or time.monotonic() >= until:
                     return self._plan
                 self._try_without(index, position, simulation)
             try:
@@ -197,6 +198,7 @@ class _Elimination:
         return self._plan
 
     def _advance(self, simulation: Progression, happening: Happening, lost: Collection[int]) -> None:
+        self._work -= 1
         events = [(event, self._actions[event.call]) for event in happening.events if event.call not in lost]
         simulation.advance(events, happening.changes)
 
@@ -207,6 +209,7 @@ class _Elimination:
             return
         left = [number for number in range(len(self._first.steps)) if number not in lost]
         while True:
+            self._work -= len(left)
             shorter = replace(self._first, steps=tuple(self._first.steps[number] for number in left))
             try:
                 cost = _cost(self._problem, shorter)

@@ -15,7 +15,7 @@ from planner_bridge.model.problem import Problem
 from planner_bridge.model.progression import NotApplicable, Progression
 from planner_bridge.pddl import parse_domain, parse_problem
 from planner_bridge.planning import solve as module
-from planner_bridge.planning.solve import MAX_STEPS, indispensable, reduced, solve
+from planner_bridge.planning.solve import WORK, indispensable, reduced, solve
 from planner_bridge.planning.validate import why_invalid
 from pnm.core.logic.conditions import evaluate
 from pnm.core.machine.plan_graph import GroundAction, Moment, PlanEvent
@@ -90,11 +90,22 @@ def test_a_call_that_a_constraint_asks_for_stays() -> None:
     assert left(shop(rest="(:constraints (sometime (asked)))"), plan_of("ask", "buy", cost=1001.0)) == ["ask", "buy"]
 
 
-def test_plans_with_preferences_and_long_ones_stay_as_they_are() -> None:
+def test_plans_with_preferences_stay_as_they_are() -> None:
     softly = rooms(goal="(and (clean a) (preference p (at r1 b)))", ways="ab ba")
     assert left(softly, plan_of("move r1 a b", "sweep r2 a")) == ["move r1 a b", "sweep r2 a"]
-    rounds = ["move r1 a b", "move r1 b a"] * (MAX_STEPS // 2)
-    assert len(left(rooms(goal="(clean a)", ways="ab ba"), plan_of(*rounds, "sweep r2 a"))) == MAX_STEPS + 1
+
+
+@pytest.mark.parametrize("calls", [250, 1000])
+def test_the_work_is_bounded_however_long_the_plan(calls: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nobody can say of a single call of these that it is needed, and without one all others are carried out."""
+    text = f"(define (problem p) (:domain shop) (:init (= (total-cost) 0)) (:goal (>= (total-cost) {calls - 1})))"
+    problem, plan, simulated = parse_problem(text, parse_domain(SHOP.format(more=""))), plan_of(*["ask"] * calls), count()
+    advance = Progression.advance
+    monkeypatch.setattr(Progression, "advance", lambda *given: (next(simulated), advance(*given))[1])
+    result = reduced(problem, PlanningResult(PlanningStatus.SOLVED, plan)).plan
+    assert result is not None
+    assert len(result.steps) == calls - 1
+    assert next(simulated) < WORK + 5 * calls
 
 
 def test_of_plans_with_times_needless_calls_are_left_out_as_well() -> None:
