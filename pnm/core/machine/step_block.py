@@ -14,6 +14,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from functools import cached_property
+from types import MappingProxyType
 from typing import Any, Final, Generic, NamedTuple, TypeVar, assert_never
 
 from pnm.core.machine import guards
@@ -82,7 +83,7 @@ class BlockTemplate(Template):
     """Whether blocks of all machines have it."""
     inner: tuple[Inner, ...] = ()
     """The steps that it holds."""
-    initial: Mapping[int, int] = field(default_factory=dict)
+    initial: Mapping[int, int] = field(default_factory=lambda: MappingProxyType({}))
     failures: tuple[int, ...] = ()
     restarts: tuple[int, ...] = ()
     budgets: tuple[int, ...] = ()
@@ -92,27 +93,28 @@ class BlockTemplate(Template):
     @cached_property
     def reported(self) -> Sequence[int]:
         """The transitions that reports open."""
-        return [number for number, kind in enumerate(self.kinds) if kind.guard.opened_by is guards.Opener.REPORT]
+        return tuple([number for number, kind in enumerate(self.kinds) if kind.guard.opened_by is guards.Opener.REPORT])
 
     @cached_property
     def made(self) -> Sequence[int]:
         """The transitions whose guards are made for each block."""
-        return [number for number, rule in enumerate(self.rules) if isinstance(rule, OwnRule) and rule.guard]
+        return tuple([number for number, rule in enumerate(self.rules) if isinstance(rule, OwnRule) and rule.guard])
 
     @cached_property
     def own(self) -> Sequence[int]:
         """Those, and all others that ask for conditions."""
-        return [number for number, kind in enumerate(self.kinds) if number in self.made or kind.guard.asks is not None]
+        return tuple([number for number, kind in enumerate(self.kinds) if number in self.made or kind.guard.asks is not None])
 
     @cached_property
     def usual(self) -> Sequence[int]:
         """The transitions that are asked of every call that goes well: those of its conditions, and of its time where each has its own."""
         of_time = {number for number in self.made if isinstance(self.kinds[number].guard, guards.After)}
-        return [
+        usual = [
             number
             for number, kind in enumerate(self.kinds)
             if kind.action is TransitionAction.SEND or isinstance(kind.guard, guards.InvariantFalse) or number in of_time
         ]
+        return tuple(usual)
 
 
 class Inner(NamedTuple):
@@ -124,8 +126,8 @@ class Inner(NamedTuple):
     end: str
     """The name of the taking of the last places."""
     context: Context
-    first: list[str]
-    last: list[str]
+    first: tuple[str, ...]
+    last: tuple[str, ...]
 
 
 @dataclass
@@ -150,7 +152,7 @@ class Draft:
 
     def region(self, flow: Flow, begin: str, end: str, context: Context) -> Inner:
         """Add the ports around steps that the block holds; they are placed after it."""
-        ports = (self.port(f"{what} of {begin}") for what in ("first", "last"))
+        ports = (tuple(self.port(f"{what} of {begin}")) for what in ("first", "last"))
         self.inner.append(Inner(flow, begin, end, context, *ports))
         return self.inner[-1]
 
@@ -174,7 +176,7 @@ class Draft:
             kinds=kinds,
             is_shared=is_shared,
             inner=tuple(self.inner),
-            initial={number[place]: tokens for place, tokens in self.initial.items()},
+            initial=MappingProxyType({number[place]: tokens for place, tokens in self.initial.items()}),
             failures=failures,
             restarts=restarts,
             budgets=budgets,

@@ -10,6 +10,7 @@ from bisect import bisect_right
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from types import MappingProxyType
 from typing import Any, Final, Generic, Protocol, Self, TypeAlias, TypeVar
 
 from pnm.core.net.net import Marking, PetriNet
@@ -23,7 +24,10 @@ _Codes: TypeAlias = tuple[tuple[int, int], ...]
 
 @dataclass(frozen=True, eq=False)
 class Template:
-    """A block by itself: its places and transitions by number, and its ports, which have the codes -1, -2 and so on."""
+    """A block by itself: its places and transitions by number, and its ports, which have the codes -1, -2 and so on.
+
+    Nothing of it can be written to: machines that are made later share it, and what was proved of it.
+    """
 
     places: tuple[str, ...]
     transitions: tuple[str, ...]
@@ -47,7 +51,9 @@ class Template:
     @cached_property
     def codes(self) -> Mapping[str, int]:
         """The code of every place and port."""
-        return {place: number for number, place in enumerate(self.places)} | {port: ~number for number, port in enumerate(self.ports)}
+        return MappingProxyType(
+            {name: number for number, name in enumerate(self.places)} | {name: ~number for number, name in enumerate(self.ports)}
+        )
 
     @cached_property
     def consumers(self) -> Mapping[int, Sequence[tuple[int, int]]]:
@@ -56,7 +62,7 @@ class Template:
         for transition, arcs in enumerate(self.inputs):
             for code, weight in arcs:
                 consumers[code].append((transition, weight))
-        return consumers
+        return MappingProxyType({code: tuple(found) for code, found in consumers.items()})
 
     @cached_property
     def giving(self) -> frozenset[int]:
@@ -66,12 +72,12 @@ class Template:
     @cached_property
     def reading(self) -> Sequence[int]:
         """The ports that some transition takes from."""
-        return [~number for number in range(len(self.ports)) if self.consumers[~number]]
+        return tuple([~number for number in range(len(self.ports)) if self.consumers[~number]])
 
     @cached_property
     def unmarked(self) -> Sequence[int]:
         """As `BlockNet.unmarked`, but for the transitions that take from ports."""
-        return [_unmarked(arcs) for arcs in self.inputs]
+        return tuple([_unmarked(arcs) for arcs in self.inputs])
 
     @cached_property
     def counted(self) -> frozenset[int]:
@@ -81,7 +87,7 @@ class Template:
     @cached_property
     def taking(self) -> Sequence[int]:
         """The transitions that take from ports."""
-        return [number for number, arcs in enumerate(self.inputs) if any(code < 0 for code, _ in arcs)]
+        return tuple([number for number, arcs in enumerate(self.inputs) if any(code < 0 for code, _ in arcs)])
 
 
 def _unmarked(inputs: Sequence[tuple[int, int]]) -> int:

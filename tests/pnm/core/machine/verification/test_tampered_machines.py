@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, MutableMapping, MutableSequence, MutableSet
 from dataclasses import replace
 from random import Random
 
@@ -178,3 +178,23 @@ def test_a_template_of_a_call_that_may_be_skipped_is_none_of_another() -> None:
     blocks.placed[CALL + 1] = replace(blocks.placed[CALL + 1], template=blocks.placed[CALL].template)
     with pytest.raises(Unsound, match=r"^a1\(\)#1 does not keep the rule of its recoveries: "):
         verify(machine)
+
+
+def test_nothing_of_a_template_that_machines_share_can_be_written_to() -> None:
+    (block,) = (block for block in blocks_of(generate(PlanGraph(calls(("arm",))))).placed if block.step)
+    template = block.template
+    for name in dir(type(template)):
+        getattr(template, name)  # what is worked out when it is asked for, too
+    writable: list[tuple[str, object]] = []
+    seen: list[tuple[str, object]] = [*vars(template).items()]
+    while seen:
+        where, value = seen.pop()
+        if isinstance(value, Mapping):
+            seen += [(f"{where}[]", one) for one in value.items()]
+        elif isinstance(value, tuple):
+            seen += [(f"{where}[]", one) for one in value]
+        if isinstance(value, MutableMapping | MutableSequence | MutableSet):
+            writable.append((where, value))
+    assert not writable
+    with pytest.raises(TypeError):
+        template.initial[0] = 7  # type: ignore[index]
