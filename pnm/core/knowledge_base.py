@@ -57,7 +57,9 @@ class KnowledgeBase:
         self._objects: dict[str, tuple[str, ...]] = dict(objects or {})
         self._sensed: dict[str, float] = dict(sensed or {})
         self._why_unknown: dict[Fluent, str] = {}
-        """Why fluents are unknown, or were when they were last."""
+        """Why fluents are unknown, where that was said; nothing of those that are not."""
+        self.told_why: Mapping[str, tuple[Fluent, ...]] = {}
+        """What is news, with the changes that listeners are told of, of why fluents are unknown: for each reason, those."""
         self._listeners: list[Listener] = []
         self._changed: list[Fluent] = []
         """The fluents that have changed last, in order."""
@@ -93,12 +95,12 @@ class KnowledgeBase:
         """Return why a derived fact holds or does not, in recorded facts, or why any other is unknown; empty if nothing is to be said."""
         if fluent[0] in self._derived:
             return self._derived_facts.because(fluent)
-        why = self._why_unknown.get(fluent) if self._facts.get(fluent) is UNKNOWN else None
+        why = self._why_unknown.get(fluent)
         return f"({why})" if why else ""
 
     def why_unknown(self) -> dict[Fluent, str]:
         """Return the fluents that are unknown for a reason that was given, with that."""
-        return {fluent: why for fluent, why in self._why_unknown.items() if self._facts.get(fluent) is UNKNOWN}
+        return dict(self._why_unknown)
 
     def rests_on(self, fluents: frozenset[Fluent]) -> frozenset[Fluent]:
         """Return the fluents with each derived one replaced by the unknown fluents that decide whether it holds."""
@@ -113,19 +115,24 @@ class KnowledgeBase:
         """Return a copy of everything recorded that is not false."""
         return {fluent: value for fluent, value in self._facts.items() if value is not False}
 
-    def update(self, changes: Mapping[Fluent, Value | Unknown]) -> Changes:
-        """Record the changes; return those that changed something. Malformed or derived fluents raise `InputError`: nothing is recorded."""
+    def update(self, changes: Mapping[Fluent, Value | Unknown], why: str = "") -> Changes:
+        """Record the changes; return those that changed something. Malformed or derived fluents raise `InputError`: nothing is recorded.
+
+        Args:
+            why: they are unknown, if they are.
+        """
         for fluent in changes:
             if not isinstance(fluent, tuple) or not fluent or not all(isinstance(name, str) for name in fluent):
                 raise InputError(f"not a fluent: {fluent!r}; expected a tuple of names such as ('at', 'r1', 'kitchen')")
-        return self.record(changes)
+        return self.record(changes, why)
 
-    def record(self, changes: Mapping[Fluent, Value | Unknown]) -> Changes:
+    def record(self, changes: Mapping[Fluent, Value | Unknown], why: str = "") -> Changes:
         """Record changes of fluents that are known to be well-formed, such as effects; otherwise as `update`."""
         if self._derived:
             self._refuse_derived(changes)
         facts = self._facts
         real = {fluent: value for fluent, value in changes.items() if not same_value(facts.get(fluent), value)}
+        news = self._explain(changes, real, why) if why or self._why_unknown else ()
         if real:
             if self._recorded is not None:
                 self._note_names(real, self._recorded)
@@ -135,15 +142,28 @@ class KnowledgeBase:
                 self._forget_changes(_REMEMBERED // 2)
             if self._derived:
                 self._derived_facts.forget({fluent[0] for fluent in real})
-            for listener in tuple(self._listeners):
-                listener(real)
+        if real or news:
+            self._tell(real, {why: news} if news else {})
         return real
+
+    def _explain(self, changes: Iterable[Fluent], real: Iterable[Fluent], why: str) -> tuple[Fluent, ...]:
+        """Note why fluents are unknown from now on, or forget why those that have changed were; return those of which there is news."""
+        if not why:
+            for fluent in real:
+                self._why_unknown.pop(fluent, None)
+            return ()
+        news = tuple([fluent for fluent in changes if self._why_unknown.get(fluent) != why])
+        self._why_unknown.update(dict.fromkeys(news, why))
+        return news
+
+    def _tell(self, changes: Changes, why: Mapping[str, tuple[Fluent, ...]] | None = None) -> None:
+        for listener in tuple(self._listeners):
+            self.told_why = why or {}
+            listener(changes)
 
     def forget(self, fluents: Iterable[Fluent], why: str) -> Changes:
         """Record that the fluents are unknown, and why; return those that have become so. Derived ones raise `InputError`."""
-        unknown = dict.fromkeys(fluents, UNKNOWN)
-        self._why_unknown.update(dict.fromkeys(unknown, why))  # first: whoever is told of the change may ask
-        return self.update(unknown)
+        return self.update(dict.fromkeys(fluents, UNKNOWN), why)
 
     def replace(self, names: Iterable[str], facts: Mapping[Fluent, Value | Unknown]) -> Changes:
         """Record a complete report about the named predicates and functions.
@@ -185,11 +205,11 @@ class KnowledgeBase:
         self._facts.clear()
         self._facts.update(facts)
         self._recorded = None
+        self._why_unknown = {fluent: why for fluent, why in self._why_unknown.items() if facts.get(fluent) is UNKNOWN}
         self._objects = dict(objects)
         self._derived_facts = DerivedFacts(rules, self._facts, self.objects)
         self._forget_changes()
-        for listener in tuple(self._listeners):
-            listener(changes)
+        self._tell(changes)
 
     def _refuse_derived(self, changes: Mapping[Fluent, Value | Unknown]) -> None:
         for fluent in filter(self._derives, changes):
@@ -199,7 +219,10 @@ class KnowledgeBase:
         return isinstance(fluent, tuple) and fluent[:1] != () and fluent[0] in self._derived
 
     def listen(self, listener: Listener) -> Callable[[], None]:
-        """Call the listener with every batch of changes, an empty one for variables and what is sensed; return what unsubscribes it."""
+        """Call the listener with every batch of changes; return what unsubscribes it.
+
+        One for variables, for what is sensed, or for why something is unknown is empty.
+        """
         self._listeners.append(listener)
         return lambda: self._listeners.remove(listener)
 
@@ -229,8 +252,7 @@ class KnowledgeBase:
         self._sensed.update(news)
         if news:
             self._forget_changes()
-        for listener in tuple(self._listeners) if news else ():
-            listener({})
+            self._tell({})
 
     def sensed_names(self) -> dict[str, float]:
         """Return the sensed predicates and functions, and how many seconds late their reports may be."""
@@ -276,8 +298,7 @@ class KnowledgeBase:
         for name in [name for name, value in variables.items() if value is None]:
             del self._variables[name]
         self._forget_changes()
-        for listener in tuple(self._listeners):
-            listener({})
+        self._tell({})
 
     def variables(self) -> dict[str, object]:
         """Return a copy of all variables."""

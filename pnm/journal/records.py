@@ -64,6 +64,8 @@ class KnowledgeBegan:
     objects: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     sensed: Mapping[str, float] = field(default_factory=dict)
     rules: Rules = NO_RULES
+    unknown: Mapping[str, tuple[Fluent, ...]] = field(default_factory=dict)
+    """For each reason that was given, the fluents that are unknown because of it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,6 +78,8 @@ class KnowledgeDelta:
     """Variables and their new values; None for those that were forgotten."""
     sensed: Mapping[str, float] = field(default_factory=dict)
     """The sensed predicates from now on, and their lag in seconds."""
+    unknown: Mapping[str, tuple[Fluent, ...]] = field(default_factory=dict)
+    """For each reason that was given, the fluents that are unknown because of it from now on: calls that fail tell it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -277,7 +281,9 @@ def became(result: RunResult, plan: PlanGraph) -> tuple[Became, ...]:
 
 def base_of(began: KnowledgeBegan) -> KnowledgeBase:
     """Return a knowledge base as it began."""
-    return KnowledgeBase(began.facts, variables=began.variables, objects=began.objects, sensed=began.sensed, rules=began.rules)
+    base = KnowledgeBase(began.facts, variables=began.variables, objects=began.objects, sensed=began.sensed, rules=began.rules)
+    _forget(base, began.unknown)
+    return base
 
 
 def change(base: KnowledgeBase, delta: KnowledgeDelta) -> None:
@@ -286,13 +292,22 @@ def change(base: KnowledgeBase, delta: KnowledgeDelta) -> None:
         base.update(delta.facts)
     else:
         base.store(delta.variables)
+    _forget(base, delta.unknown)
     for name, lag in delta.sensed.items():
         base.sense((name,), lag=lag)
 
 
+def _forget(base: KnowledgeBase, unknown: Mapping[str, tuple[Fluent, ...]]) -> None:
+    for why, fluents in unknown.items():
+        base.forget(fluents, why)
+
+
 def knowledge_now(number: int, base: KnowledgeBase) -> KnowledgeBegan:
     """Return the content of a knowledge base now."""
-    return KnowledgeBegan(number, base.facts(), base.variables(), base.objects_by_type(), base.sensed_names(), base.rules)
+    unknown: dict[str, tuple[Fluent, ...]] = {}
+    for fluent, why in base.why_unknown().items():
+        unknown[why] = (*unknown.get(why, ()), fluent)
+    return KnowledgeBegan(number, base.facts(), base.variables(), base.objects_by_type(), base.sensed_names(), base.rules, unknown)
 
 
 def follow(number: int, base: KnowledgeBase, changed: Callable[[KnowledgeDelta], None]) -> KnowledgeBegan:
@@ -302,14 +317,14 @@ def follow(number: int, base: KnowledgeBase, changed: Callable[[KnowledgeDelta],
     def note(facts: Mapping[Fluent, Value | Unknown]) -> None:
         nonlocal before, sensed_before
         if facts:
-            changed(KnowledgeDelta(number, dict(facts)))
+            changed(KnowledgeDelta(number, dict(facts), unknown=base.told_why))
             return
         after, sensed = base.variables(), base.sensed_names()
         variables = dict.fromkeys(before.keys() - after.keys())
         variables |= {name: value for name, value in after.items() if name not in before or before[name] != value}
         news = {name: lag for name, lag in sensed.items() if sensed_before.get(name) != lag}
         before, sensed_before = after, sensed
-        changed(KnowledgeDelta(number, variables=variables, sensed=news))
+        changed(KnowledgeDelta(number, variables=variables, sensed=news, unknown=base.told_why))
 
     base.listen(note)
     return knowledge_now(number, base)

@@ -348,7 +348,7 @@ def delta_text(delta: records.KnowledgeDelta) -> str:
     """Return changes of knowledge in words."""
     facts = [statement_text(fluent, value) for fluent, value in delta.facts.items()]
     variables = [f"{name} = {value!r}" for name, value in delta.variables.items()]
-    return f"{', '.join((*facts, *variables)) or 'nothing'}{f' for {_base(delta.base)}' if delta.base else ''}"
+    return f"{', '.join((*facts, *variables, *delta.unknown)) or 'nothing'}{f' for {_base(delta.base)}' if delta.base else ''}"
 
 
 def _base(number: int) -> str:

@@ -4,21 +4,24 @@ from __future__ import annotations
 
 import asyncio
 from dataclasses import dataclass, field
+from pathlib import Path
 
 import pytest
 
 from planner_bridge.model.problem import Problem
 from planner_bridge.model.world import robots_of
-from planner_bridge.pddl import parse_domain, parse_problem
+from planner_bridge.pddl import parse_domain, parse_problem, write_domain, write_problem
 from planner_bridge.pipeline.achieve import achieve_at
+from planner_bridge.pipeline.goal_handle import GoalHandle, TaskJournal
 from planner_bridge.tasks.replanning import decision_words
-from planner_bridge.tasks.result import TaskResult
+from planner_bridge.tasks.result import TASKS, Stopwatch, TaskResult
 from planner_bridge.tasks.settings import OnChange, Settings, TaskObserver
 from pnm.actions.backend import SimulatedBackend
 from pnm.actions.faults import NO_FAULTS, Faults, HiddenChange
 from pnm.clock import run_async
 from pnm.core.knowledge_base import KnowledgeBase
 from pnm.core.machine.machine import OnFailure
+from pnm.journal.resume import replayed
 
 FETCH = """(define (domain fetch) (:requirements :adl :durative-actions :numeric-fluents)
   (:types robot place item) (:predicates (at ?r - robot ?p - place) (in ?i - item ?p - place)
@@ -133,8 +136,12 @@ class Silent(Sampled):
         asyncio.get_running_loop().call_later(3.0, knowledge.forget, places, "nothing was heard on /r1/pose for 3 s")
 
 
-def test_a_silent_sensor_is_named_in_the_reason_of_the_goal() -> None:
-    result = run_async(achieve_at(Silent(problem(), 0.5), problem(), Settings(), TaskObserver()), virtual=True)
+def test_a_silent_sensor_is_named_in_the_reason_of_the_goal_and_by_what_replays_it(tmp_path: Path) -> None:
+    journal = TaskJournal.of(tmp_path / "j", write_domain(problem().domain), write_problem(problem()))
+    goal = GoalHandle(Silent(problem(), 0.5), problem(), Settings(), TaskObserver(), Stopwatch(), journal)
+    result = run_async(goal.run(), virtual=True)
     assert not result.goal_reached
     assert "is unknown" in result.reason
     assert "nothing was heard on /r1/pose for 3 s" in result.reason
+    replay = replayed(tmp_path / "j", TASKS)
+    assert set(replay.world.why_unknown().values()) == {"nothing was heard on /r1/pose for 3 s"}

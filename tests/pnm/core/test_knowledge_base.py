@@ -13,6 +13,7 @@ from pnm.core.logic.conditions import All, Exists, Holds, Not
 from pnm.core.logic.expressions import UNDEFINED, UNKNOWN, Fluent, Unknown, Value, Variable
 from pnm.core.logic.rules import NO_RULES, DerivationRule, Rules
 from pnm.errors import InputError
+from pnm.journal.records import KnowledgeDelta, base_of, change, follow
 
 Facts = Mapping[Fluent, Value | Unknown]
 P, Q, N = ("p",), ("q", "a"), ("n",)
@@ -152,6 +153,35 @@ DARK = DerivationRule("dark", (), Exists((X,), Not(Holds(("lit", "?x")))))
 
 def lit_rooms(facts: Facts | None = None) -> KnowledgeBase:
     return KnowledgeBase(facts, objects={"room": ("hall", "lab")}, rules=Rules((LIT, DARK)))
+
+
+def test_why_something_is_unknown_is_told_until_it_is_known_or_unknown_for_no_such_reason() -> None:
+    world = KnowledgeBase({P: True, Q: UNKNOWN})
+    told: list[object] = []
+    world.listen(lambda changes: told.append((changes, world.told_why)))
+    world.forget([P, Q], "silent")
+    world.forget([P, Q], "silent")
+    world.forget([Q], "closed")
+    assert told == [({P: UNKNOWN}, {"silent": (P, Q)}), ({}, {"closed": (Q,)})]
+    assert (world.because(P), world.because(Q)) == ("(silent)", "(closed)")
+    world.update({P: False})
+    world.update({P: UNKNOWN})
+    assert (world.because(P), world.why_unknown()) == ("", {Q: "closed"})
+    world.store({"x": 1})
+    assert told[-1] == ({}, {})
+
+
+@given(st.lists(st.tuples(FACTS, st.sampled_from(("", "silent", "closed")))))
+def test_a_base_that_follows_another_knows_what_it_knows(reports: list[tuple[Facts, str]]) -> None:
+    world, (first, *others) = KnowledgeBase({P: True}), [*reports, ({}, "")]
+    (world.forget(first[0], first[1]) if first[1] else world.update(first[0]))
+    deltas: list[KnowledgeDelta] = []
+    copy = base_of(follow(0, world, deltas.append))
+    for facts, why in others:
+        world.forget(facts, why) if why else world.update(facts)
+    for delta in deltas:
+        change(copy, delta)
+    assert (copy.facts(), copy.why_unknown()) == (world.facts(), world.why_unknown())
 
 
 # --- derived facts ---
