@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from itertools import chain
 from typing import Final
 
@@ -39,6 +40,15 @@ class ReadWriteSets:
     """Other fluents that are read, such as numbers: no other value will do."""
     writes: Mapping[Fluent, frozenset[bool | None]] = field(default_factory=dict)
     """For every fluent, the values that it may get: true, false, or, as None, another value."""
+
+    @cached_property
+    def used(self) -> frozenset[Fluent]:
+        """All that is read or written."""
+        return self.reads.union(self.facts, self.writes)
+
+    def is_clear_of(self, other: ReadWriteSets) -> bool:
+        """Return whether neither writes what the other uses: so it is for all parts of the two as well."""
+        return self.used.isdisjoint(other.writes) and other.used.isdisjoint(self.writes)
 
     def disturbed_by(self, other: ReadWriteSets) -> Fluent | None:
         """Return a fluent that this plan reads and to which the other may write another value, if there is one."""

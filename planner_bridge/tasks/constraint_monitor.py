@@ -268,7 +268,8 @@ class TaskMonitor:
         world = self._context.world
         cleanup.callback(schedule(world, self._context.problem.timed, self._since))
         cleanup.callback(end_looking)
-        cleanup.callback(world.listen(self.look))
+        if not self.constraints.idle:
+            cleanup.callback(world.listen(self.look))
         cleanup.callback(self.limit.close)
         self._context.control.limit_time(self.limit)
         self.limit.begin()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from math import inf
 from typing import Final, Generic, TypeVar
@@ -153,6 +153,8 @@ class Preemption(TaskListener):
             return ()
         conflicts, needed = list[Conflict](), footprint()
         for other in others:
+            if (execution := other.control.execution) and execution.is_clear_of(needed):
+                continue  # found out without a look at how far it has come
             its = other.control.footprint
             if its is not None and (why := interference(needed, its)):
                 conflicts.append(Conflict(other.id, other.name, its, why, other.yields_to(task)))
@@ -161,7 +163,7 @@ class Preemption(TaskListener):
     def new_conflicts(self, task: Task, footprint: Callable[[], ReadWriteSets]) -> tuple[Conflict, ...]:
         """Return the conflicts in which neither task has been preempted for the other yet."""
         # Between these the order is decided already; asking again would preempt them in a circle.
-        settled = task.preempted_by | {other.id for other in self._others(task) if task.id in other.preempted_by}
+        settled = {other.id for other in _opponents(task)}
         return tuple(conflict for conflict in self.conflicts(task, footprint) if conflict.task not in settled)
 
     def forecasts(self, task: Task) -> Mapping[Task, Forecast]:
@@ -173,15 +175,10 @@ class Preemption(TaskListener):
         """Return the current runs of all tasks."""
         return tuple(run for task in self._tasks.values() if (run := task.control.run) is not None)
 
-    def running_calls(self, task: Task) -> tuple[tuple[Conflict, tuple[ActionCall, ...]], ...]:
-        """Return the calls of other tasks that have begun and not ended, each task with no footprint yet, also while it is stopped."""
-        running: list[tuple[Conflict, tuple[ActionCall, ...]]] = []
-        for other in self._tasks.values():
-            run = other.control.run if other is not task else None
-            if run is not None and (calls := run.unsettled):
-                why = f"it has begun {', '.join(str(call.action) for call in calls)}"
-                running.append((Conflict(other.id, other.name, ReadWriteSets(), why, other.yields_to(task)), calls))
-        return tuple(running)
+    def running_calls(self, task: Task) -> Mapping[Task, tuple[ActionCall, ...]]:
+        """Return the calls of other tasks that have begun and not ended, also while such a task is stopped."""
+        runs = ((other, run) for other in self._tasks.values() if other is not task and (run := other.control.run) is not None)
+        return {other: calls for other, run in runs if (calls := run.unsettled)}
 
     def _others(self, task: Task) -> list[Task]:
         begun = (other for other in self._tasks.values() if other is not task and other.control.has_begun and other.ending is None)
@@ -231,20 +228,34 @@ class Preemption(TaskListener):
                 self._set_preempted(self._tasks[lower], self._tasks[higher])
 
     def _set_preempted(self, task: Task, other: Task) -> None:
-        if other.id not in task.preempted_by and task.id in self._tasks:
-            task.preempted_by.add(other.id)
+        if other not in task.preempted_by and {task.id, other.id} <= self._tasks.keys():
+            task.preempted_by.add(other)
+            other.preempts.add(task)
             task.note(TraceKind.CONFLICT, "", f"makes way for {other.name}")
         self._update(task)
 
+    def leave(self, task: Task) -> Iterable[Task]:
+        """Return the opponents of a task that is over; they make way for it no longer, which `update` shows."""
+        opponents = task.preempted_by | task.preempts
+        for other in opponents:
+            other.preempted_by.discard(task)
+            other.preempts.discard(task)
+        return opponents
+
     def changed(self, task: UUID) -> None:
         """Decide again which tasks go on: this one may have ceased to, or have begun again."""
-        self.update_all()
+        if task in self._tasks:
+            self.update([self._tasks[task]])
 
-    def update_all(self) -> None:
-        """Pause the tasks that are preempted, and resume those that are not any more; those that are served first come first."""
-        for task in sorted(self._tasks.values(), key=lambda task: task.rank):
-            if task.control.is_paused or any(self._opponents(task)):
-                self._update(task)
+    def update(self, tasks: Iterable[Task]) -> None:
+        """Pause and resume these tasks and their opponents, and theirs in turn, as they are preempted; those served first come first."""
+        concerned, found = set[Task](), [*tasks]
+        while found:
+            if (task := found.pop()) not in concerned:
+                concerned.add(task)
+                found += (*task.preempted_by, *task.preempts)
+        for task in _in_order(concerned):
+            self._update(task)
 
     def _update(self, task: Task) -> None:
         # An operator's pause is stronger than preemption, and a task that is being cancelled is past both.
@@ -257,40 +268,40 @@ class Preemption(TaskListener):
 
     def _goes_on(self, task: Task) -> bool:
         """Return whether the task goes on, or is about to: it wants to, and makes way for none that does."""
-        return task.wants_to_go_on and not any(map(self._goes_on, self._superiors(task)))
+        return task.wants_to_go_on and not any(map(self._goes_on, _in_order(task.preempted_by)))
 
     def _why_paused(self, task: Task) -> str:
         """Return why the task is not to go on now; empty when it is.
 
         Of two opponents one goes on. The other one is at rest before: a robot that is still at work for one gets no command of the other.
         """
-        if preempting := [other.name for other in self._superiors(task) if self._goes_on(other)]:
+        if preempting := [other.name for other in _in_order(task.preempted_by) if self._goes_on(other)]:
             return f"makes way for {', '.join(preempting)}"
         if not task.wants_to_go_on:
-            ahead = [other.name for other in self._opponents(task) if self._goes_on(other)]
+            ahead = [other.name for other in _opponents(task) if self._goes_on(other)]
             return f"waits for an answer, and {', '.join(ahead)} goes on meanwhile" if ahead else ""
-        opponents = self._opponents(task) if task.control.is_paused else ()
+        opponents = _opponents(task) if task.control.is_paused else ()
         working = [other.name for other in opponents if other.control.state is not TaskState.PAUSED]
         return f"waits until {', '.join(working)} has stopped" if working else ""
-
-    def _superiors(self, task: Task) -> list[Task]:
-        """Return the tasks of higher priority for which the task is preempted."""
-        return sorted((self._tasks[other] for other in task.preempted_by if other in self._tasks), key=lambda other: other.rank)
-
-    def _opponents(self, task: Task) -> Iterator[Task]:
-        """Yield the tasks that do not go on together with this one: one of the two is preempted for the other."""
-        yield from self._superiors(task)
-        yield from (other for other in self._tasks.values() if task.id in other.preempted_by)
 
     async def _pause(self, task: Task) -> None:
         try:
             if (why := self._why_paused(task)) and not task.is_held:  # still
                 self._queue.leave(task)
-                await task.control.pause(why, at_once=any(map(self._goes_on, self._superiors(task))))
+                await task.control.pause(why, at_once=any(map(self._goes_on, _in_order(task.preempted_by))))
         finally:
             del self._pausing[task.id]
         self._queue.changed()  # what the paused task kept from others is free now, so those that failed may try again
-        self.update_all()  # another task may have preempted it meanwhile, or have waited for it
+        self.update([task])  # another task may have preempted it meanwhile, or have waited for it
+
+
+def _in_order(tasks: Iterable[Task]) -> list[Task]:
+    return sorted(tasks, key=lambda task: task.rank)
+
+
+def _opponents(task: Task) -> list[Task]:
+    """Return the tasks that do not go on together with this one: one of the two is preempted for the other."""
+    return _in_order(task.preempted_by | task.preempts)
 
 
 # --- the planning queue ---------------------------------------------------------------------------

@@ -49,6 +49,9 @@ class Execution(Protocol):
     def needed(self) -> ReadWriteSets:
         """The needs and changes of the rest of the plan."""
 
+    def is_clear_of(self, other: ReadWriteSets, /) -> bool:
+        """Return True if nothing of the plan, however far it has come, interferes with another; False if it may."""
+
     @property
     def forecast(self) -> Forecast | None:
         """The time at which the plan is expected to be done with its needs, and its results then; None if nobody can say."""

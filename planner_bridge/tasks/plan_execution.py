@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Mapping
+from dataclasses import replace
 from types import TracebackType
 from typing import Any, Final, TypeAlias
 
@@ -61,6 +62,8 @@ class PlanExecution(Observer):
         self._tried: tuple[UnderWay, ...] | None = None
         """The part that it would have handed over then; None if it could not be handed over."""
         self._is_held = False
+        self._whole: tuple[PlanGraph, ReadWriteSets] | None = None
+        """A plan, and the needs and changes of all of it."""
         self._news = ""
         self.set_off_by = ""
         """The reports for which the plan was looked at last, since it began, and when they came; empty if there were none."""
@@ -128,6 +131,21 @@ class PlanExecution(Observer):
         """The needs and changes of the rest of the plan."""
         progress = self.progress
         return read_write_sets(progress.rest, progress.plan.goal, self._context.world)
+
+    def is_clear_of(self, other: ReadWriteSets, /) -> bool:
+        """Return True if nothing of the plan, however far it has come, interferes with another; False if it may."""
+        whole = self._needed_at_first
+        return whole is not None and whole.is_clear_of(other)
+
+    @property
+    def _needed_at_first(self) -> ReadWriteSets | None:
+        """The needs and changes of the whole plan; None if they are others in another world, for what derived facts rest on changes."""
+        plan, world = self.run.machine.plan, self._context.world
+        if world.rules.derived:
+            return None
+        if self._whole is None or self._whole[0] is not plan:
+            self._whole = plan, read_write_sets([replace(call, under_way=False) for call in plan.calls], plan.goal, world)
+        return self._whole[1]
 
     @property
     def forecast(self) -> Forecast:
@@ -199,7 +217,8 @@ class PlanExecution(Observer):
         # During a pause the plan is compared with the world once, when it is resumed.
         if not self.is_eager or self._context.control.is_paused:
             return
-        used = {fluent: value for fluent, value in changes.items() if fluent[0] in self.run.machine.plan.used_by}
+        whole, names = self._needed_at_first, self.run.machine.plan.used_by
+        used = {fluent: value for fluent, value in changes.items() if (fluent in whole.used if whole else fluent[0] in names)}
         progress = self.progress if used else None  # which takes a look at every call
         if progress and (news := unforeseen(progress, relevant(progress, used), self._context.knowledge)):
             said = [

@@ -303,17 +303,21 @@ class PlanSearch:
         return plan, ()
 
     async def _too_early(
-        self, now: Problem, running: tuple[tuple[Conflict, tuple[ActionCall, ...]], ...], result: PlanningResult
+        self, now: Problem, running: Mapping[Task, tuple[ActionCall, ...]], result: PlanningResult
     ) -> tuple[Conflict, ...]:
         """Return the tasks after whose running calls there may be a plan: while a robot moves, it is nowhere."""
         if not running or result.status not in _NO_PLAN:
             return ()
-        optimistic = optimistic_state(now, [call for _, calls in running for call in calls])
+        optimistic = optimistic_state(now, [call for calls in running.values() for call in calls])
         other = await self._solve(optimistic)
         if other.plan is None:
             return ()
         needed, world = read_write_sets(calls_of(optimistic, other.plan), now.goal, initial_knowledge(optimistic)), initial_knowledge(now)
-        conflicts = [replace(conflict, footprint=read_write_sets(calls, TRUE, world)) for conflict, calls in running]
+        conflicts: list[Conflict] = []
+        for task, calls in running.items():
+            why = f"it has begun {', '.join(str(call.action) for call in calls)}"
+            yields = task.yields_to(self._context.task)
+            conflicts.append(Conflict(task.id, task.name, read_write_sets(calls, TRUE, world), why, yields))
         return tuple(conflict for conflict in conflicts if needed.disturbed_by(conflict.footprint)) or tuple(conflicts)
 
     async def _sooner(self, now: Problem, forecasts: Mapping[Task, Forecast], latest: float, share: float) -> tuple[Conflict, ...]:

@@ -80,8 +80,10 @@ class Task(TaskObserver):
     control: TaskControl = field(init=False)
     is_held: bool = False
     """Whether an operator has paused it."""
-    preempted_by: set[UUID] = field(default_factory=set)
+    preempted_by: set[Task] = field(default_factory=set, repr=False)
     """The tasks of higher priority for which it is preempted."""
+    preempts: set[Task] = field(default_factory=set, repr=False)
+    """The tasks that are preempted for it."""
     ended_calls: int = 0
     restarts: int = 0
     plans: int = 0

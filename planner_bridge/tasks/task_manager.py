@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import asyncio
 import logging
+from bisect import insort
 from collections.abc import Callable, Collection, Coroutine, Iterable
 from dataclasses import dataclass, replace
 from functools import partial
@@ -91,6 +92,8 @@ class TaskManager:
         """The time at which the initial state of the problem was."""
         self._tasks: dict[UUID, Task] = {}
         """Those that are not over."""
+        self._queued: list[Task] = []
+        """Those of them that have not begun, in the order in which they are served."""
         self._past: list[Task] = []
         """Those that ended last."""
         self._work: dict[UUID, asyncio.Task[None]] = {}
@@ -193,7 +196,7 @@ class TaskManager:
         for active_task in chosen:
             active_task.is_held = False
             self._journal.held(active_task.id, is_held=False)
-        self._preemption.update_all()  # not resumed directly, nor one after the other: which of them go on is decided for all at once
+        self._preemption.update(chosen)  # not resumed directly, nor one after the other: which of them go on is decided for all at once
         self._admit()
 
     async def cancel(self, task: UUID | None, /, *, why: str = "cancelled on request") -> None:
@@ -296,11 +299,10 @@ class TaskManager:
 
     def _begin(self, task: Task) -> None:
         task.note(TraceKind.GOAL, "", task.status.title)
-        waiting = sum(not other.control.has_begun for other in self._tasks.values())
         if task.id in self._tasks:
             self._end(task, TaskEnding(Code.ERROR, "there is a task of this id already"))
             return
-        if waiting >= self._limits.queue and self._is_full:
+        if (waiting := len(self._queued)) >= self._limits.queue and self._is_full:
             self._end(task, TaskEnding(Code.QUEUE_FULL, f"{waiting} tasks are waiting already"))
             return
         read = self._reader(task)
@@ -328,6 +330,7 @@ class TaskManager:
     def _list(self, task: Task, passed: float) -> None:
         """List a task, some seconds after it was accepted: from here on its deadline can end it, even before it is admitted."""
         self._tasks[task.id] = task
+        insort(self._queued, task, key=lambda queued: queued.rank)
         if task.wanted.deadline is not None:
             reason = f"the goal was not reached within {task.wanted.deadline:g} s"
             left = max(0.0, task.wanted.deadline - passed)
@@ -366,14 +369,15 @@ class TaskManager:
 
     @property
     def _is_full(self) -> bool:
-        return sum(task.control.has_begun for task in self._tasks.values()) >= self._limits.active
+        return len(self._tasks) - len(self._queued) >= self._limits.active
 
     def _admit(self) -> None:
-        for task in self._in_order():
-            if task.start and not task.control.has_begun and not task.is_held and not self._is_full:
+        for task in () if self._is_full else tuple(self._queued):
+            if task.start and not task.is_held and not self._is_full:
                 self._set_out(task, task.start)
 
     def _set_out(self, task: Task, start: StartTask) -> None:
+        self._queued.remove(task)
         task.control.begin(TaskState.RUNNING if task.wanted.is_plan else TaskState.PLANNING)
 
         def end() -> None:  # in order; if that does not end it either, it is left alone
@@ -471,11 +475,14 @@ class TaskManager:
         if self._tasks.get(task.id) is task:
             del self._tasks[task.id]
             self._ending.discard(task.id)
+            if task in self._queued:
+                self._queued.remove(task)
+        opponents = self._preemption.leave(task)
         self._queue.leave(task)
         self._remember(task)
         task.end(ending)  # listed as past before its listeners know, so that they find it when they ask
         self._queue.changed()
-        self._preemption.update_all()
+        self._preemption.update(opponents)
         self._admit()
 
 
