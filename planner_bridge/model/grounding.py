@@ -95,8 +95,13 @@ def problem_now(problem: Problem, knowledge: KnowledgeBase, elapsed: float = 0.0
 
     recorded = {fluent: value for fluent, value in knowledge.facts().items() if _is_declared(fluent, value, problem.domain, members)}
     init = {fluent: value for fluent, value in recorded.items() if not isinstance(value, Unknown)}
+    return replace(later(problem, elapsed), init=init, unknown=frozenset(recorded.keys() - init.keys()))
+
+
+def later(problem: Problem, elapsed: float) -> Problem:
+    """Return the problem with the times of what changes by itself as they are `elapsed` seconds later."""
     timed = tuple(TimedChange(change.time - elapsed, change.changes) for change in problem.timed if change.time > elapsed)
-    return replace(problem, init=init, timed=timed, unknown=frozenset(recorded.keys() - init.keys()))
+    return replace(problem, timed=timed)
 
 
 def _is_declared(fluent: Fluent, value: Value | Unknown, domain: Domain, members: Callable[[Types], frozenset[str]]) -> bool:

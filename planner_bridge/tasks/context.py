@@ -55,6 +55,7 @@ class TaskContext:
     """A goal, and everything that is there to reach it.
 
     Args:
+        problem: its goal, and all that does not change with the world; its initial state is not looked at.
         knowledge: of the runs of the task, over the world that all tasks share.
         runner: carries out plans that are loaded; its backend, resources, source and journal are those of all tasks.
         helper: the person who is asked for help when the task cannot go on; None for none.

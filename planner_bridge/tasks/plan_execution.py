@@ -218,6 +218,8 @@ class PlanExecution(Observer):
         if not self.is_eager or self._context.control.is_paused:
             return
         whole, names = self._needed_at_first, self.run.machine.plan.used_by
+        if whole and whole.used.isdisjoint(changes):  # as most: all tasks hear of all changes
+            return
         used = {fluent: value for fluent, value in changes.items() if (fluent in whole.used if whole else fluent[0] in names)}
         progress = self.progress if used else None  # which takes a look at every call
         if progress and (news := unforeseen(progress, relevant(progress, used), self._context.knowledge)):

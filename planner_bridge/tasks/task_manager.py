@@ -15,7 +15,7 @@ from functools import partial
 from time import time
 from uuid import UUID
 
-from planner_bridge.model.grounding import problem_now
+from planner_bridge.model.grounding import later, problem_now
 from planner_bridge.model.problem import Problem
 from planner_bridge.tasks.context import PlanningQueue, Preemption, TaskContext
 from planner_bridge.tasks.control import Watchdog
@@ -416,19 +416,18 @@ class TaskManager:
     # --- their contexts ---------------------------------------------------------------------------
 
     def _reader(self, task: Task) -> Callable[[], TaskText]:
-        return partial(
-            read_text, task.wanted, self._read_goal, self._runner.programs, self._now() if task.wanted.is_plan else self._problem
-        )
+        now = problem_now(self._problem, self._runner.world, self._elapsed()) if task.wanted.is_plan else self._problem
+        return partial(read_text, task.wanted, self._read_goal, self._runner.programs, now)
 
-    def _now(self, at: float | None = None) -> Problem:
-        return problem_now(self._problem, self._runner.world, (self._loop.time() if at is None else at) - self._began)
+    def _elapsed(self, at: float | None = None) -> float:
+        return (self._loop.time() if at is None else at) - self._began
 
     def _context(self, task: Task, goal: Condition, kept: ReplayedTask | None, on_change: OnChange | None = None) -> TaskContext:
         runner = self._runner
         since = kept.replay.now if kept and kept.notes else None  # facts that change by themselves have done so until then
         return TaskContext(
             task,
-            replace(self._now(since), goal=goal),
+            replace(later(self._problem, self._elapsed(since)), goal=goal),
             kept.runs[-1].run.knowledge if kept and kept.runs else Layered(runner.world),
             runner,
             replace(self._settings, on_change=on_change or self._settings.on_change),
