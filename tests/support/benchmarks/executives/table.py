@@ -215,5 +215,7 @@ GATE: Final = (
     ("machine", 1_000),
     ("change", 1_000),
     ("resource", 100),
+    ("tasks-begin", 200),
+    ("tasks-next", 200),
 )
 """Measures, with a size, that may not become much slower."""
