@@ -51,8 +51,8 @@ class KnowledgeBase:
         if self._derived:
             self._refuse_derived(facts or {})
         self._facts: dict[Fluent, Value | Unknown] = dict(facts or {})
-        self._recorded: dict[str, dict[Fluent, None]] | None = None
-        """The recorded fluents of each name, in their order, from the first report on: a report costs what it is about, not the world."""
+        self._present: dict[str, dict[Fluent, None]] | None = None
+        """Of each name, the fluents with a known value that is not absent, from the first report on: it costs what it is about."""
         self._variables: dict[str, object] = dict(variables or {})
         self._objects: dict[str, tuple[str, ...]] = dict(objects or {})
         self._sensed: dict[str, float] = dict(sensed or {})
@@ -134,8 +134,8 @@ class KnowledgeBase:
         real = {fluent: value for fluent, value in changes.items() if not same_value(facts.get(fluent), value)}
         news = self._explain(changes, real, why) if why or self._why_unknown else ()
         if real:
-            if self._recorded is not None:
-                self._note_names(real, self._recorded)
+            if self._present is not None:
+                self._note_present(real, self._present)
             facts.update(real)
             self._changed += real
             if len(self._changed) > _REMEMBERED:
@@ -174,17 +174,19 @@ class KnowledgeBase:
         names = frozenset(names) - self._derived
         if self._derived:
             facts = {fluent: value for fluent, value in facts.items() if not self._derives(fluent)}
-        if self._recorded is None:
-            self._recorded = {}
-            self._note_names(self._facts, self._recorded)
-        omitted = (fluent for name in sorted(names) for fluent in self._recorded.get(name, ()) if fluent not in facts)
-        gone = {fluent: absent_value(value) for fluent in omitted if (value := self._facts[fluent]) is not UNKNOWN}
-        return self.update({**gone, **facts})
+        if self._present is None:
+            self._present = {}
+            self._note_present(self._facts, self._present)
+        omitted = (fluent for name in sorted(names) for fluent in self._present.get(name, ()) if fluent not in facts)
+        return self.update({**{fluent: absent_value(self._facts[fluent]) for fluent in omitted}, **facts})
 
     @staticmethod
-    def _note_names(fluents: Iterable[Fluent], recorded: dict[str, dict[Fluent, None]]) -> None:
-        for fluent in fluents:
-            recorded.setdefault(fluent[0], {})[fluent] = None
+    def _note_present(changes: Mapping[Fluent, Value | Unknown], present: dict[str, dict[Fluent, None]]) -> None:
+        for fluent, value in changes.items():
+            if value is UNKNOWN or same_value(None, value):
+                present.get(fluent[0], {}).pop(fluent, None)
+            else:
+                present.setdefault(fluent[0], {})[fluent] = None
 
     def begin_anew(self, facts: Mapping[Fluent, Value | Unknown], objects: Mapping[str, tuple[str, ...]], rules: Rules) -> None:
         """Replace the facts, objects and rules of one world by those of another; variables and the sensed names stay.
@@ -204,8 +206,8 @@ class KnowledgeBase:
         changes |= {fluent: value for fluent, value in facts.items() if not same_value(self._facts.get(fluent), value)}
         self._facts.clear()
         self._facts.update(facts)
-        self._recorded = None
         self._why_unknown = {fluent: why for fluent, why in self._why_unknown.items() if facts.get(fluent) is UNKNOWN}
+        self._present = None
         self._objects = dict(objects)
         self._derived_facts = DerivedFacts(rules, self._facts, self.objects)
         self._forget_changes()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from dataclasses import replace
 from math import inf
 
@@ -18,6 +17,7 @@ from pnm.core.logic.conditions import All, Holds, Not
 from pnm.core.logic.trajectory import Constraint
 from tests.support.pddl.problems import matches, rooms
 from tests.support.runs.plan_graphs import shown
+from tests.support.runs.timing import functions_called
 from tests.support.tasks.planned_runs import SimulatedSite, on_site, timed
 
 
@@ -115,19 +115,10 @@ def test_an_enveloping_call_waits_for_what_the_plan_had_happen_before_its_start(
 def steps_taken(fuses: int) -> int:
     """How many functions are called to order so many matches, one after the other, each with a fuse."""
     pairs = ((PlanStep("strike", (f"m{n}",), 9.0 * n, 8.0), PlanStep("mend", (f"f{n}", f"m{n}"), 9.0 * n, 5.0)) for n in range(fuses))
-    problem, plan, calls = matches(fuses), Plan(tuple(step for pair in pairs for step in pair), temporal=True), 0
-
-    def count(*_: object) -> None:
-        nonlocal calls
-        calls += 1
-
-    before = sys.getprofile()
-    sys.setprofile(count)
-    try:
+    problem, plan = matches(fuses), Plan(tuple(step for pair in pairs for step in pair), temporal=True)
+    with functions_called() as called:
         plan_graph(problem, plan)
-    finally:
-        sys.setprofile(before)
-    return calls
+    return called()
 
 
 def test_what_is_far_away_in_the_plan_is_not_looked_at() -> None:

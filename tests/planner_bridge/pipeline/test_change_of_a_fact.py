@@ -2,36 +2,25 @@
 
 from __future__ import annotations
 
-import sys
-from types import FrameType
-
 import pytest
 
 from planner_bridge.tasks.settings import OnChange
 from pnm.core.logic.expressions import Fluent
 from tests.support.benchmarks.waiting import CHARGE, Fleet
+from tests.support.runs.timing import functions_called
 
 OTHER: Fluent = ("other",)
 
 
-async def functions_called(fleet: Fleet, fluent: Fluent) -> int:
+async def called_by(fleet: Fleet, fluent: Fluent) -> int:
     """Return how many functions a change of the fact calls; what is worked out once was before."""
-    called = 0
-
-    def count(_frame: FrameType, event: str, _argument: object) -> None:
-        nonlocal called
-        called += event == "call"
-
     await fleet.change(fluent, 8.0)
-    sys.setprofile(count)
-    try:
+    with functions_called() as called:
         await fleet.change(fluent, 7.0)
-    finally:
-        sys.setprofile(None)
-    return called
+    return called()
 
 
 @pytest.mark.parametrize(("on_change", "fluent"), [(OnChange.LAZY, OTHER), (OnChange.LAZY, CHARGE), (OnChange.EAGER, OTHER)])
 def test_a_change_of_a_fact_concerns_only_the_calls_that_read_it(on_change: OnChange, fluent: Fluent) -> None:
-    few, many = (Fleet(count).under_way(on_change, lambda fleet: functions_called(fleet, fluent)) for count in (4, 40))
+    few, many = (Fleet(count).under_way(on_change, lambda fleet: called_by(fleet, fluent)) for count in (4, 40))
     assert 0 < few == many

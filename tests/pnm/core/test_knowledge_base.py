@@ -14,6 +14,7 @@ from pnm.core.logic.expressions import UNDEFINED, UNKNOWN, Fluent, Unknown, Valu
 from pnm.core.logic.rules import NO_RULES, DerivationRule, Rules
 from pnm.errors import InputError
 from pnm.journal.records import KnowledgeDelta, base_of, change, follow
+from tests.support.runs.timing import functions_called
 
 Facts = Mapping[Fluent, Value | Unknown]
 P, Q, N = ("p",), ("q", "a"), ("n",)
@@ -107,6 +108,18 @@ def test_after_a_report_its_facts_are_all_that_is_so(
     assert about == {fluent for fluent, value in report.items() if fluent[0] in names and value is True}
     others = {fluent: value for fluent, value in knowledge.facts().items() if fluent[0] not in names and fluent not in report}
     assert others == {fluent: value for fluent, value in KnowledgeBase(first).facts().items() if fluent in others}
+
+
+def test_a_report_costs_no_more_for_the_world_or_for_what_was_so_before() -> None:
+    def called_by_reports(rooms: int) -> int:
+        knowledge = KnowledgeBase({("clean", f"room {number}"): True for number in range(rooms)})
+        for number in range(rooms):
+            knowledge.replace({"at"}, {("at", f"room {number}"): True})
+        with functions_called() as called:
+            knowledge.replace({"at"}, {("at", "dock"): True})
+        return called()
+
+    assert called_by_reports(4) == called_by_reports(40)
 
 
 def test_what_is_reported_stays_in_another_world_and_is_not_what_that_begins_with() -> None:

@@ -1,11 +1,14 @@
-"""How long work takes, and how long it takes after a failure, for the benchmarks."""
+"""How long work takes, how many functions it calls, and how long it takes after a failure."""
 
 from __future__ import annotations
 
 import gc
+import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
+from types import FrameType
 
 from planner_bridge.model.plan import Plan
 from planner_bridge.tasks.settings import TaskObserver
@@ -22,6 +25,23 @@ def seconds(work: Callable[[], object], times: int = 3) -> float:
         work()
         found.append(time.perf_counter() - began)
     return min(found)
+
+
+@contextmanager
+def functions_called() -> Iterator[Callable[[], int]]:
+    """Count the calls of Python functions; how many there were is told on demand."""
+    called = 0
+
+    def count(_frame: FrameType, event: str, _argument: object) -> None:
+        nonlocal called
+        called += event == "call"
+
+    before = sys.getprofile()
+    sys.setprofile(count)
+    try:
+        yield lambda: called
+    finally:
+        sys.setprofile(before)
 
 
 @dataclass
