@@ -141,7 +141,7 @@ class KnowledgeBase:
             if len(self._changed) > _REMEMBERED:
                 self._forget_changes(_REMEMBERED // 2)
             if self._derived:
-                self._derived_facts.forget({fluent[0] for fluent in real})
+                self._derived_facts.changed(real)
         if real or news:
             self._tell(real, {why: news} if news else {})
         return real

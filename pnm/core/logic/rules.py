@@ -39,7 +39,6 @@ from pnm.core.logic.expressions import (
     UNKNOWN,
     Environment,
     Fluent,
-    State,
     Truth,
     Unknown,
     Value,
@@ -167,10 +166,9 @@ class Rules:
         return frozenset().union(*(self._base.get(name, (name,)) for name in mentioned))
 
     @cached_property
-    def above(self) -> dict[str, frozenset[str]]:
-        """For every base name below one, the derived names that depend on it."""
-        names = frozenset().union(*self._base.values())
-        return {name: frozenset(derived for derived, below in self._base.items() if name in below) for name in names}
+    def below(self) -> frozenset[str]:
+        """The base names on which derived facts depend."""
+        return frozenset().union(*self._base.values())
 
     @cached_property
     def _base(self) -> dict[str, frozenset[str]]:
@@ -289,11 +287,15 @@ def _find(condition: Holds, unknown: dict[str, Variable]) -> FindFact:
     return FindFact(condition, known, tuple((position, unknown[term]) for position, term in terms if term in unknown))
 
 
-# --- derived facts, computed when asked for ------------------------------------------------
+# --- derived facts, computed when asked for, and maintained from what changes --------------
 
 
 LISTED: Final = 4
 """Reasons that an explanation names; the others are counted."""
+_KEPT: Final = 100_000
+"""Derived facts that are maintained at most; if there are more at a change, all are forgotten."""
+_Read: TypeAlias = tuple[object, ...]
+"""A fluent that a rule asks for, or a pattern of recorded facts: name, length, known positions and the terms there."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -319,17 +321,15 @@ class _Attempt:
 
 
 class DerivedFacts:
-    """A state with the recorded facts and those that rules derive from them when asked, remembered until a fact below them changes.
+    """A state with the recorded facts and those that rules derive from them when asked, which are maintained from then on.
 
-    A fact is derived backwards from the question. It is taken to be false, and attempts are made to derive
-    it: one for every body and every binding of the body's own variables, step by step. A step
-    that asks about a fact of the same stratum opens that question too; the attempt is resumed
-    whenever that fact turns out to be more than it was taken for. When no attempt can go on, every fact that
-    was asked about has its value in the least fixpoint. Facts of lower strata are settled first.
+    A derived fact is taken to be false, and so is every fact of its stratum that it asks about; whenever one of them turns out to be
+    more, those that have read it are judged again, until all have their value in the least fixpoint. Facts of lower strata are settled
+    first. When recorded facts change, those that have read them are judged again, stratum by stratum. Before that, all whose proof rests
+    on something that has changed are taken to be false, and so are those whose proof rests on these: none keeps itself alive.
 
-    The mutable state is a cache: for every derived name the truth of its facts, the attempt that
-    proved a fact, and the unknown fluents that an unknown fact depends on; for every recorded name its facts,
-    indexed by some of their terms. `forget` must be called after recorded facts change; the objects of a type never do.
+    The mutable state is what the constructor sets besides `rules` and `objects`. `changed` must be called after recorded facts change;
+    the objects of a type never do.
     """
 
     def __init__(
@@ -339,38 +339,121 @@ class DerivedFacts:
         self.objects = objects
         self._recorded = recorded
         self._members: dict[tuple[str, ...], frozenset[str]] = {}
-        self._truth: dict[str, dict[Fluent, Truth]] = {name: {} for name in rules.derived}
-        self._proofs: dict[str, dict[Fluent, _Attempt]] = {name: {} for name in rules.derived}
-        self._undecided: dict[str, dict[Fluent, frozenset[Fluent]]] = {name: {} for name in rules.derived}
-        self._tables: dict[str, dict[tuple[int, tuple[int, ...]], dict[Fluent, list[Fluent]]]] = {}
+        self._tables: dict[str, dict[tuple[int, tuple[int, ...]], dict[Fluent, dict[Fluent, None]]]] = {}
+        """For every recorded name its facts that are not false, by their terms at some positions."""
+        self._changed: dict[Fluent, None] = {}
+        """The recorded fluents that have changed since derived facts were judged."""
+        self._truth: dict[Fluent, Truth] = {}
+        self._proofs: dict[Fluent, _Attempt] = {}
+        """For every derived fact that is not false, the attempt that has proved it."""
+        self._reads: dict[Fluent, dict[_Read, None]] = {}
+        self._readers: dict[_Read, dict[Fluent, None]] = {}
+        self._undecided: dict[Fluent, frozenset[Fluent]] = {}
+        """For facts that are unknown, the unknown fluents that they depend on."""
 
-    def forget(self, names: Iterable[str]) -> None:
-        """Invalidate the cache: recorded facts of these names have changed."""
-        for name in names:
-            self._tables.pop(name, None)
-            for derived in self.rules.above.get(name, ()):
-                self._truth[derived].clear()
-                self._proofs[derived].clear()
-                self._undecided[derived].clear()
+    def changed(self, changes: Iterable[Fluent]) -> None:
+        """Note that recorded fluents have changed."""
+        for fluent in changes:
+            if fluent[0] in self.rules.below:
+                self._changed[fluent] = None
+                for (length, known), table in self._tables.get(fluent[0], {}).items():
+                    if length == len(fluent):
+                        self._enter(fluent, table.setdefault(tuple([fluent[position] for position in known]), {}))
+
+    def _enter(self, fact: Fluent, facts: dict[Fluent, None]) -> None:
+        value = self._recorded[fact]
+        if value is UNKNOWN or value:
+            facts[fact] = None
+        else:
+            facts.pop(fact, None)
 
     def value(self, fluent: Fluent, /) -> Value | Unknown | None:
         """Return the truth of a derived fact, or what is recorded for any other fluent."""
-        known = self._truth.get(fluent[0])
-        if known is None:
+        if fluent[0] not in self.rules.derived:
             return self._recorded.get(fluent)
-        if fluent not in known:
-            _Fixpoint(self, self.rules.strata[fluent[0]]).settle(fluent)
-        return known[fluent]
+        if self._changed:
+            self._follow()
+        if fluent not in self._truth:
+            self._settle(self.rules.strata[fluent[0]], (fluent,))
+        return self._truth[fluent]
 
-    def remembered(self, fluent: Fluent) -> Truth | None:
-        """Return the truth of a derived fact if it is settled."""
-        return self._truth[fluent[0]].get(fluent)
+    def knows(self, fluent: Fluent) -> bool:
+        """Return whether the derived fact has been judged."""
+        return fluent in self._truth
 
-    def remember(self, fluent: Fluent, truth: Truth, proof: _Attempt | None) -> None:
-        """Store the truth of a derived fact, and its proof if it is true."""
-        self._truth[fluent[0]][fluent] = truth
-        if proof:
-            self._proofs[fluent[0]][fluent] = proof
+    # --- the least fixpoint ----------------------------------------------------------------------
+
+    def _settle(self, stratum: int, facts: Iterable[Fluent]) -> dict[Fluent, Truth]:
+        """Judge facts of a stratum and all of it that depends on them; return those that have risen, with their truth before."""
+        judge, risen, waiting = _Judge(self, stratum), dict[Fluent, Truth](), dict.fromkeys(facts)
+        while waiting:
+            judging, waiting = waiting, {}
+            for fact in judging:
+                before = self._truth.setdefault(fact, False)
+                if before is True:
+                    continue
+                judge.reads = {}
+                best: _Attempt | None = None
+                for attempt in self._ended(fact, judge):
+                    if attempt.succeeded and (best is None or attempt.truth is True):
+                        best = attempt
+                        if best.truth is True:
+                            break
+                self._note(fact, judge.reads)
+                waiting |= judge.opened
+                judge.opened = {}
+                if best is not None and best.truth is not before:
+                    risen.setdefault(fact, before)
+                    self._truth[fact], self._proofs[fact] = best.truth, best
+                    waiting |= dict.fromkeys(self._readers_of(fact, stratum))
+        return risen
+
+    def _note(self, fact: Fluent, reads: dict[_Read, None]) -> None:
+        before = self._reads.get(fact, {})
+        self._reads[fact] = reads
+        for read in before.keys() - reads.keys():
+            del self._readers[read][fact]
+            if not self._readers[read]:
+                del self._readers[read]
+        for read in reads.keys() - before.keys():
+            self._readers.setdefault(read, {})[fact] = None
+
+    def _readers_of(self, read: _Read, stratum: int) -> list[Fluent]:
+        return [fact for fact in self._readers.get(read, ()) if self.rules.strata[fact[0]] == stratum]
+
+    def _follow(self) -> None:
+        """Judge again what has read something that has changed."""
+        reads = [read for fluent in self._changed for read in (fluent, *self._patterns(fluent))]
+        gone, self._changed = set(self._changed), {}
+        self._undecided.clear()
+        if len(self._truth) > _KEPT:
+            for cache in (self._truth, self._proofs, self._reads, self._readers):
+                cache.clear()
+        for stratum in range(max(self.rules.strata.values()) + 1):
+            judged = dict.fromkeys(fact for read in reads for fact in self._readers_of(read, stratum))
+            fallen, falling = dict[Fluent, Truth](), list(judged)
+            for fact in falling:  # grows
+                if self._truth[fact] is not False and self._rests_on_any(fact, gone):
+                    fallen[fact], self._truth[fact] = self._truth[fact], False
+                    gone.add(fact)
+                    falling += self._readers_of(fact, stratum)
+            for fact in fallen:
+                del self._proofs[fact]
+            for fact, before in {**self._settle(stratum, {**judged, **fallen}), **fallen}.items():
+                if self._truth[fact] is before:
+                    gone.discard(fact)
+                else:
+                    gone.add(fact)
+                    reads.append(fact)
+
+    def _patterns(self, fluent: Fluent) -> Iterator[_Read]:
+        for length, known in self._tables.get(fluent[0], {}):
+            if length == len(fluent):
+                yield fluent[0], length, known, tuple([fluent[position] for position in known])
+
+    def _rests_on_any(self, fact: Fluent, gone: set[Fluent]) -> bool:
+        proof = self._proofs[fact]
+        return any(not gone.isdisjoint(fluents(part, self, proof.env)) for part in proof.body.parts)
 
     # --- why --------------------------------------------------------------------------------------
 
@@ -387,13 +470,12 @@ class DerivedFacts:
 
     def _waits_for(self, fluent: Fluent) -> frozenset[Fluent]:
         """Return the unknown fluents in the bodies that may still turn out to derive the fact."""
-        remembered = self._undecided[fluent[0]]
-        if fluent not in remembered:
-            attempts = [attempt for attempt in self._ended(fluent) if attempt.succeeded and attempt.truth is UNKNOWN]
+        if fluent not in self._undecided:
+            attempts = [attempt for attempt in self._ended(fluent, _Judge(self)) if attempt.succeeded and attempt.truth is UNKNOWN]
             parts = ((part, attempt.env) for attempt in attempts for part in attempt.body.parts)
             asked = (below for part, env in parts if evaluate(part, self, env) is UNKNOWN for below in fluents(part, self, env))
-            remembered[fluent] = frozenset(below for below in asked if self.value(below) is UNKNOWN)
-        return remembered[fluent]
+            self._undecided[fluent] = frozenset(below for below in asked if self.value(below) is UNKNOWN)
+        return self._undecided[fluent]
 
     def because(self, fluent: Fluent) -> str:
         """Return why a derived fact has its truth, in recorded facts: "because of …", or "for want of …" if it is false."""
@@ -414,21 +496,21 @@ class DerivedFacts:
 
     def _grounds(self, fluent: Fluent) -> Iterator[tuple[Condition, Environment]]:
         """Yield the conditions that prove the fact, or those at which every attempt failed, with their bindings."""
-        if fluent in self._proofs[fluent[0]]:
-            proof = self._proofs[fluent[0]][fluent]
+        if self.value(fluent) is True:
+            proof = self._proofs[fluent]
             yield from ((part, proof.env) for part in proof.body.parts)
             return
-        for attempt in self._ended(fluent):
+        for attempt in self._ended(fluent, _Judge(self)):
             step = attempt.body.steps[attempt.position]
             if not isinstance(step, ChooseObject):
                 yield step.condition, attempt.env
 
-    def _ended(self, fluent: Fluent) -> Iterator[_Attempt]:
-        """Yield all attempts to derive the fact, each at its last step, now that all facts are settled."""
-        waiting = list(reversed(self.attempts(fluent)))
+    def _ended(self, fluent: Fluent, judge: _Judge) -> Iterator[_Attempt]:
+        """Yield all attempts to derive the fact, each at its last step, as far as is known."""
+        waiting = list(reversed(self._attempts(fluent)))
         while waiting:
             attempt = waiting.pop()
-            further = [] if attempt.succeeded else self.further(attempt, self)
+            further = [] if attempt.succeeded else self._further(attempt, judge)
             if further:
                 waiting += reversed(further)
             else:
@@ -436,7 +518,7 @@ class DerivedFacts:
 
     # --- following bodies -------------------------------------------------------------------------
 
-    def attempts(self, fluent: Fluent) -> list[_Attempt]:
+    def _attempts(self, fluent: Fluent) -> list[_Attempt]:
         """Return an attempt to derive the fact for every body that is about it."""
         return [
             _Attempt(fluent, body, dict(zip((variable.name for variable in body.head), fluent[1:], strict=True)))
@@ -444,29 +526,31 @@ class DerivedFacts:
             if len(body.head) == len(fluent) - 1 and all(map(self._is_of, fluent[1:], (variable.types for variable in body.head)))
         ]
 
-    def further(self, attempt: _Attempt, state: State) -> list[_Attempt]:
+    def _further(self, attempt: _Attempt, judge: _Judge) -> list[_Attempt]:
         """Return the attempt after its next step, once for every binding with which that succeeds."""
         match attempt.body.steps[attempt.position]:
             case CheckCondition(condition):
-                truth = evaluate(condition, state, attempt.env)
+                truth = evaluate(condition, judge, attempt.env)
                 return [] if truth is False else [attempt.advanced(attempt.env, truth)]
             case ChooseObject(variable):
                 return [attempt.advanced({**attempt.env, variable.name: name}) for name in self.objects(variable.types)]
             case FindFact() as find:
-                return [attempt.advanced(env, truth) for env, truth in self._matches(find, attempt.env)]
+                return [attempt.advanced(env, truth) for env, truth in self._matches(find, attempt.env, judge)]
             case other:
                 assert_never(other)
 
-    def _matches(self, find: FindFact, env: Environment) -> Iterator[tuple[Environment, Truth]]:
+    def _matches(self, find: FindFact, env: Environment, judge: _Judge) -> Iterator[tuple[Environment, Truth]]:
         """Yield the environment extended by each recorded fact that matches, and the truth of that fact."""
         pattern = bind(find.condition.fluent, env)
-        tables, key = self._tables.setdefault(pattern[0], {}), (len(pattern), find.known)
-        if key not in tables:  # the recorded facts that are not false, by their terms at the known positions
-            table = tables[key] = {}
-            for fact, value in self._recorded.items():
-                if fact[0] == pattern[0] and len(fact) == len(pattern) and (value is UNKNOWN or value):
-                    table.setdefault(tuple(fact[position] for position in find.known), []).append(fact)
-        for fact in tables[key].get(tuple(pattern[position] for position in find.known), ()):
+        name, length, terms = pattern[0], len(pattern), tuple([pattern[position] for position in find.known])
+        judge.reads[name, length, find.known, terms] = None
+        tables = self._tables.setdefault(name, {})
+        if (length, find.known) not in tables:
+            table = tables[length, find.known] = {}
+            for fact in self._recorded:
+                if fact[0] == name and len(fact) == length:
+                    self._enter(fact, table.setdefault(tuple([fact[position] for position in find.known]), {}))
+        for fact in tables[length, find.known].get(terms, ()):
             inner = dict(env)
             if all(self._is_of(fact[at], new.types) and inner.setdefault(new.name, fact[at]) == fact[at] for at, new in find.new):
                 yield inner, UNKNOWN if self._recorded[fact] is UNKNOWN else True
@@ -477,66 +561,28 @@ class DerivedFacts:
         return name in self._members[types]
 
 
-class _Fixpoint:
-    """The least fixpoint of the facts of one stratum on which a question depends: false until derived.
+class _Judge:
+    """The state as rules of a stratum see it: facts of that which nobody has asked about yet are false, and opened.
 
     The mutable state is what the constructor sets besides `objects`.
     """
 
-    def __init__(self, facts: DerivedFacts, stratum: int) -> None:
+    def __init__(self, facts: DerivedFacts, stratum: int | None = None) -> None:
         self.objects = facts.objects
         self._facts = facts
         self._stratum = stratum
-        self._truth: dict[Fluent, Truth] = {}
-        self._proofs: dict[Fluent, _Attempt] = {}
-        self._agenda: list[_Attempt] = []
-        self._dependents: dict[Fluent, dict[_Attempt, None]] = {}
-        """For every fact, the attempts to be resumed when its truth rises."""
-        self._passed: dict[_Attempt, Truth] = {}
-        """The truth of the next step of an attempt, if it went on."""
-        self._current: _Attempt
-
-    def settle(self, question: Fluent) -> None:
-        """Compute the truth of the question and of all facts that it depends on."""
-        self._open(question)
-        while self._agenda:
-            attempt = self._agenda.pop()
-            if self._truth[attempt.fact] is True:
-                continue
-            if attempt.succeeded:
-                fact = attempt.fact
-                if attempt.truth is not self._truth[fact]:
-                    self._truth[fact] = attempt.truth
-                    self._agenda += self._dependents[fact]
-                    self._dependents[fact] = {}
-                    if attempt.truth is True:
-                        self._proofs[fact] = attempt
-                continue
-            self._current = attempt
-            further = self._facts.further(attempt, self)
-            if further and further[0].truth is not self._passed.get(attempt):
-                self._passed[attempt] = further[0].truth
-                self._agenda += further
-        for fact, truth in self._truth.items():
-            self._facts.remember(fact, truth, self._proofs.get(fact))
+        self.reads: dict[_Read, None] = {}
+        """What has been asked for."""
+        self.opened: dict[Fluent, None] = {}
 
     def value(self, fluent: Fluent, /) -> Value | Unknown | None:
-        """Return the truth so far of a fact of this stratum, and note that the current attempt depends on it."""
-        if self._facts.rules.strata.get(fluent[0]) != self._stratum:
-            return self._facts.value(fluent)
-        settled = self._facts.remembered(fluent)
-        if settled is not None:
-            return settled
-        if fluent not in self._truth:
-            self._open(fluent)
-        if self._truth[fluent] is not True:
-            self._dependents[fluent][self._current] = None
-        return self._truth[fluent]
-
-    def _open(self, fluent: Fluent) -> None:
-        self._truth[fluent] = False
-        self._dependents[fluent] = {}
-        self._agenda += self._facts.attempts(fluent)
+        """Return the value of a fluent, as far as is known."""
+        self.reads[fluent] = None
+        facts = self._facts
+        if facts.rules.strata.get(fluent[0], -1) != self._stratum or facts.knows(fluent):
+            return facts.value(fluent)
+        self.opened[fluent] = None
+        return False
 
 
 def _listed(how: str, reasons: list[str]) -> str:

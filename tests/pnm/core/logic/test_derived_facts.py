@@ -33,8 +33,8 @@ def rule_sets(draw: st.DrawFn) -> tuple[DerivationRule, ...]:
     return tuple(draw(st.permutations([*lower, *upper])))
 
 
-@given(rule_sets(), FACTS, st.lists(FACTS, max_size=2), st.randoms(use_true_random=False))
-def test_what_is_derived_is_the_least_fixpoint_whatever_was_asked_before(
+@given(rule_sets(), FACTS, st.lists(FACTS, max_size=4), st.randoms(use_true_random=False))
+def test_what_is_derived_is_the_least_fixpoint_whatever_was_asked_and_changed_before(
     rules: tuple[DerivationRule, ...], facts: Facts, later: list[Facts], chooser: random.Random
 ) -> None:
     knowledge = known(facts, Rules(rules))
@@ -168,13 +168,25 @@ EDGES = st.dictionaries(
 )
 
 
-@given(st.sampled_from((ON, BACK, DOUBLED)), EDGES, st.randoms(use_true_random=False))
-def test_ways_through_any_graph(rule: DerivationRule, edges: Facts, chooser: random.Random) -> None:
+CHANGES = st.lists(
+    st.dictionaries(
+        st.sampled_from([("edge", *pair) for pair in product(NODES, repeat=2)]), st.sampled_from((True, False, UNKNOWN)), max_size=3
+    ),
+    max_size=4,
+)
+
+
+@given(st.sampled_from((ON, BACK, DOUBLED)), EDGES, CHANGES, st.randoms(use_true_random=False))
+def test_ways_through_any_graph_that_changes(rule: DerivationRule, edges: Facts, later: list[Facts], chooser: random.Random) -> None:
     rules = (rule, AGAIN, APART)
     knowledge = KnowledgeBase(edges, objects={"node": NODES}, rules=Rules(rules))
-    expected = least(rules, ({"reach"}, {"again"}, {"apart"}), edges, {"node": NODES})
-    for fact in chooser.sample(sorted(expected), len(expected)):
-        assert knowledge.value(fact) is expected[fact], fact
+    for changes in ({}, *later):
+        knowledge.update(changes)
+        edges = {**edges, **changes}
+        expected = least(rules, ({"reach"}, {"again"}, {"apart"}), edges, {"node": NODES})
+        for fact in chooser.sample(sorted(expected), len(expected) // chooser.choice((1, 1, 4))):
+            assert knowledge.value(fact) is expected[fact], fact
+            assert (knowledge.because(fact) == "") is (expected[fact] is UNKNOWN and not knowledge.rests_on(frozenset({fact})))
 
 
 def test_what_is_decided_otherwise_is_not_rested_on() -> None:
