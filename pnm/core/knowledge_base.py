@@ -4,7 +4,7 @@ A *fact* or number is a fluent with a value; a *variable* is a name with any val
 field of an action's result. A base is *closed*: a fluent without a record is absent, which
 conditions read as false. A fluent may also be recorded as `UNKNOWN`.
 
-Facts that `pnm.core.logic.rules` derive are computed when queried, never recorded, written
+Facts that `pnm.core.logic.rules` derive are computed when queried and maintained from then on, never recorded, written
 or reported. Reports about them are ignored.
 
 A fluent is *sensed* when state reports include it (its name is then listed with their lag),
@@ -19,9 +19,10 @@ from dataclasses import dataclass, field
 from typing import Final, Generic, TypeVar
 
 from pnm.core.logic.computed_values import MISSING
+from pnm.core.logic.derived_facts import DerivedFacts
 from pnm.core.logic.effects import Changes
 from pnm.core.logic.expressions import UNKNOWN, Constant, Fluent, Unknown, Value, absent_value, fluent_text, same_value
-from pnm.core.logic.rules import NO_RULES, DerivedFacts, Reads, Rules
+from pnm.core.logic.rules import NO_RULES, Reads, Rules
 from pnm.errors import InputError, check_seconds
 
 _REMEMBERED: Final = 20_000

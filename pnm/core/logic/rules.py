@@ -14,10 +14,10 @@ among the recorded facts before all objects of a type are tried.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Final, TypeAlias, assert_never
+from typing import Final, TypeAlias
 
 from pnm.core.logic.conditions import (
     All,
@@ -27,25 +27,16 @@ from pnm.core.logic.conditions import (
     Condition,
     Exists,
     Holds,
-    evaluate,
     every_part,
-    fluents,
     free_variables,
     ground,
     names,
     polarities,
 )
 from pnm.core.logic.expressions import (
-    UNKNOWN,
-    Environment,
     Fluent,
-    Truth,
-    Unknown,
-    Value,
     Variable,
-    bind,
     expression_fluents,
-    fluent_text,
     variables_in,
 )
 from pnm.errors import PnmError
@@ -118,6 +109,31 @@ class Body:
         return tuple(step.condition for step in self.steps if not isinstance(step, ChooseObject))
 
 
+@dataclass(frozen=True, slots=True)
+class Chain:
+    """Another way to derive facts of a name, from their other end, for rules such as "there is a way to where one begins next door".
+
+    Some rules ask for one more fact of their name, and keep some of its terms as they are. So a fact holds if one with other terms at
+    the positions `moved` holds without these rules, and these terms are reached by steps of them. To ask for all facts with the same
+    terms at `moved`, these steps are enough; the rules themselves would ask for all facts that there are.
+    """
+
+    name: str
+    """That of the facts about what is reached: the terms at which steps begin, and those at which they end."""
+    moved: tuple[int, ...]
+    """Positions among the terms of a fact of those that the steps change."""
+    steps: tuple[Body, ...]
+    """The ways to derive facts about what is reached."""
+    bodies: tuple[Body, ...]
+    """The ways to derive facts from these."""
+
+    def ends(self, fact: Fluent) -> tuple[Fluent, Fluent]:
+        """Return the terms of a fact that steps change, and those that they keep."""
+        terms = fact[1:]
+        kept = [term for position, term in enumerate(terms) if position not in self.moved]
+        return (">", fact[0], *[terms[position] for position in self.moved]), ("=", fact[0], *kept)
+
+
 @dataclass(frozen=True)
 class Rules:
     """The rules of a domain; raises `UnstratifiedError` if a derived name depends on its own negation."""
@@ -154,12 +170,20 @@ class Rules:
     @cached_property
     def bodies(self) -> dict[str, tuple[Body, ...]]:
         """For every derived name, the ways to derive a fact of it."""
-        bodies: dict[str, tuple[Body, ...]] = {}
+        return {name: tuple([_body(way, self.derived) for way in ways]) for name, ways in self._ways.items()}
+
+    @cached_property
+    def chains(self) -> dict[str, Chain]:
+        """For derived names whose rules lead from one fact to the next, what has been passed on the way."""
+        return {name: chain for name, ways in self._ways.items() if (chain := _chain(name, ways, self.derived))}
+
+    @cached_property
+    def _ways(self) -> dict[str, list[_Way]]:
+        ways: dict[str, list[_Way]] = {}
         for rule in self.rules:
             head = frozenset(variable.name for variable in rule.variables)
-            split = (_body(rule.variables, own, parts, self.derived) for own, parts in _split(rule.condition, head))
-            bodies[rule.name] = (*bodies.get(rule.name, ()), *split)
-        return bodies
+            ways.setdefault(rule.name, []).extend((rule.variables, *way) for way in _split(rule.condition, head))
+        return ways
 
     def base(self, mentioned: Iterable[str]) -> frozenset[str]:
         """Return the base names on which facts of these names depend, each derived name replaced by those below it."""
@@ -225,6 +249,9 @@ def reads_of(fluent: Fluent, rules: Rules) -> frozenset[Fluent | str]:
 
 # --- bodies --------------------------------------------------------------------------------
 
+_Way: TypeAlias = tuple[tuple[Variable, ...], tuple[Variable, ...], tuple[Condition, ...]]
+"""An alternative of a rule: its variables, those of its own, and what must hold for some binding of these."""
+
 
 def _split(condition: Condition, taken: frozenset[str]) -> Iterator[tuple[tuple[Variable, ...], tuple[Condition, ...]]]:
     """Split a condition into alternatives: existential variables, and conjuncts that must hold for some binding of them.
@@ -258,8 +285,9 @@ def _unused(name: str, taken: frozenset[str]) -> str:
     return name
 
 
-def _body(head: tuple[Variable, ...], own: tuple[Variable, ...], parts: tuple[Condition, ...], derived: frozenset[str]) -> Body:
+def _body(way: _Way, derived: frozenset[str]) -> Body:
     """Order the conjuncts: those without unbound variables first, base before derived; then the base fact with most terms bound."""
+    head, own, parts = way
     open_ = {variable.name: variable for variable in own}
     left, steps = list(parts), list[BodyStep]()
     while left or open_:
@@ -287,306 +315,49 @@ def _find(condition: Holds, unknown: dict[str, Variable]) -> FindFact:
     return FindFact(condition, known, tuple((position, unknown[term]) for position, term in terms if term in unknown))
 
 
-# --- derived facts, computed when asked for, and maintained from what changes --------------
+def _chain(name: str, ways: list[_Way], derived: frozenset[str]) -> Chain | None:
+    """Return the chain of a name; None if no rule leads from one fact to the next, or several keep different terms."""
+    steps = [(way, again, moved) for way in ways if (again := _again(name, way)) and (moved := _moved(way, again))]
+    moves, types = {moved for *_, moved in steps}, {tuple(variable.types for variable in head) for head, *_ in ways}
+    if len(moves) != 1 or len(types) != 1:
+        return None
+    (moved,), reached = moves, f"{name}>"
+    derived |= {reached}
+
+    def before(head: tuple[Variable, ...]) -> tuple[dict[str, object], tuple[Variable, ...], Holds]:
+        """Return other variables for those that steps change, and that steps from the one to the other are possible."""
+        begin = [head[position] for position in moved]
+        other = [Variable(f"{variable.name}>", variable.types) for variable in begin]
+        asked = Holds((reached, *(variable.name for variable in (*begin, *other))))
+        return {one.name: another.name for one, another in zip(begin, other, strict=True)}, tuple(other), asked
+
+    first, further = list[_Way](), list[_Way]()
+    for (head, own, parts), again, _ in steps:
+        ends = {again.fluent[1 + position] for position in moved}
+        end = tuple([replace(head[position], name=again.fluent[1 + position]) for position in moved])
+        rest, left = tuple([part for part in parts if part != again]), tuple([one for one in own if one.name not in ends])
+        ends_at = (*(head[position] for position in moved), *end)
+        renamed, others, asked = before(head)
+        first.append((ends_at, left, rest))
+        further.append((ends_at, (*left, *others), (*(ground(part, renamed) for part in rest), asked)))
+    bodies = [way for way in ways if all(way is not step for step, *_ in steps)]
+    for head, own, parts in bodies.copy():
+        renamed, others, asked = before(head)
+        bodies.append((head, (*own, *others), (*(ground(part, renamed) for part in parts), asked)))
+    return Chain(reached, moved, *(tuple([_body(way, derived) for way in some]) for some in ((*first, *further), bodies)))
 
 
-LISTED: Final = 4
-"""Reasons that an explanation names; the others are counted."""
-_KEPT: Final = 100_000
-"""Derived facts that are maintained at most; if there are more at a change, all are forgotten."""
-_Read: TypeAlias = tuple[object, ...]
-"""A fluent that a rule asks for, or a pattern of recorded facts: name, length, known positions and the terms there."""
+def _again(name: str, way: _Way) -> Holds | None:
+    """Return the one fact of this name that an alternative of its rules asks for, if it asks for one only."""
+    asked = [part for part in way[2] if name in names(part)]
+    return asked[0] if len(asked) == 1 and isinstance(asked[0], Holds) and len(asked[0].fluent) == 1 + len(way[0]) else None
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Attempt:
-    """A partial derivation of a fact: the first steps of a body have succeeded for a binding of its variables."""
-
-    fact: Fluent
-    body: Body
-    env: Environment
-    position: int = 0
-    """Number of steps that have succeeded."""
-    truth: Truth = True
-    """Unknown as soon as one step is."""
-
-    @property
-    def succeeded(self) -> bool:
-        """Whether all steps have succeeded, as far as is known."""
-        return self.position == len(self.body.steps)
-
-    def advanced(self, env: Environment, truth: Truth = True) -> _Attempt:
-        """Return the attempt after one more step."""
-        return _Attempt(self.fact, self.body, env, self.position + 1, self.truth if truth is True else truth)
-
-
-class DerivedFacts:
-    """A state with the recorded facts and those that rules derive from them when asked, which are maintained from then on.
-
-    A derived fact is taken to be false, and so is every fact of its stratum that it asks about; whenever one of them turns out to be
-    more, those that have read it are judged again, until all have their value in the least fixpoint. Facts of lower strata are settled
-    first. When recorded facts change, those that have read them are judged again, stratum by stratum. Before that, all whose proof rests
-    on something that has changed are taken to be false, and so are those whose proof rests on these: none keeps itself alive.
-
-    The mutable state is what the constructor sets besides `rules` and `objects`. `changed` must be called after recorded facts change;
-    the objects of a type never do.
-    """
-
-    def __init__(
-        self, rules: Rules, recorded: Mapping[Fluent, Value | Unknown], objects: Callable[[tuple[str, ...]], tuple[str, ...]]
-    ) -> None:
-        self.rules = rules
-        self.objects = objects
-        self._recorded = recorded
-        self._members: dict[tuple[str, ...], frozenset[str]] = {}
-        self._tables: dict[str, dict[tuple[int, tuple[int, ...]], dict[Fluent, dict[Fluent, None]]]] = {}
-        """For every recorded name its facts that are not false, by their terms at some positions."""
-        self._changed: dict[Fluent, None] = {}
-        """The recorded fluents that have changed since derived facts were judged."""
-        self._truth: dict[Fluent, Truth] = {}
-        self._proofs: dict[Fluent, _Attempt] = {}
-        """For every derived fact that is not false, the attempt that has proved it."""
-        self._reads: dict[Fluent, dict[_Read, None]] = {}
-        self._readers: dict[_Read, dict[Fluent, None]] = {}
-        self._undecided: dict[Fluent, frozenset[Fluent]] = {}
-        """For facts that are unknown, the unknown fluents that they depend on."""
-
-    def changed(self, changes: Iterable[Fluent]) -> None:
-        """Note that recorded fluents have changed."""
-        for fluent in changes:
-            if fluent[0] in self.rules.below:
-                self._changed[fluent] = None
-                for (length, known), table in self._tables.get(fluent[0], {}).items():
-                    if length == len(fluent):
-                        self._enter(fluent, table.setdefault(tuple([fluent[position] for position in known]), {}))
-
-    def _enter(self, fact: Fluent, facts: dict[Fluent, None]) -> None:
-        value = self._recorded[fact]
-        if value is UNKNOWN or value:
-            facts[fact] = None
-        else:
-            facts.pop(fact, None)
-
-    def value(self, fluent: Fluent, /) -> Value | Unknown | None:
-        """Return the truth of a derived fact, or what is recorded for any other fluent."""
-        if fluent[0] not in self.rules.derived:
-            return self._recorded.get(fluent)
-        if self._changed:
-            self._follow()
-        if fluent not in self._truth:
-            self._settle(self.rules.strata[fluent[0]], (fluent,))
-        return self._truth[fluent]
-
-    def knows(self, fluent: Fluent) -> bool:
-        """Return whether the derived fact has been judged."""
-        return fluent in self._truth
-
-    # --- the least fixpoint ----------------------------------------------------------------------
-
-    def _settle(self, stratum: int, facts: Iterable[Fluent]) -> dict[Fluent, Truth]:
-        """Judge facts of a stratum and all of it that depends on them; return those that have risen, with their truth before."""
-        judge, risen, waiting = _Judge(self, stratum), dict[Fluent, Truth](), dict.fromkeys(facts)
-        while waiting:
-            judging, waiting = waiting, {}
-            for fact in judging:
-                before = self._truth.setdefault(fact, False)
-                if before is True:
-                    continue
-                judge.reads = {}
-                best: _Attempt | None = None
-                for attempt in self._ended(fact, judge):
-                    if attempt.succeeded and (best is None or attempt.truth is True):
-                        best = attempt
-                        if best.truth is True:
-                            break
-                self._note(fact, judge.reads)
-                waiting |= judge.opened
-                judge.opened = {}
-                if best is not None and best.truth is not before:
-                    risen.setdefault(fact, before)
-                    self._truth[fact], self._proofs[fact] = best.truth, best
-                    waiting |= dict.fromkeys(self._readers_of(fact, stratum))
-        return risen
-
-    def _note(self, fact: Fluent, reads: dict[_Read, None]) -> None:
-        before = self._reads.get(fact, {})
-        self._reads[fact] = reads
-        for read in before.keys() - reads.keys():
-            del self._readers[read][fact]
-            if not self._readers[read]:
-                del self._readers[read]
-        for read in reads.keys() - before.keys():
-            self._readers.setdefault(read, {})[fact] = None
-
-    def _readers_of(self, read: _Read, stratum: int) -> list[Fluent]:
-        return [fact for fact in self._readers.get(read, ()) if self.rules.strata[fact[0]] == stratum]
-
-    def _follow(self) -> None:
-        """Judge again what has read something that has changed."""
-        reads = [read for fluent in self._changed for read in (fluent, *self._patterns(fluent))]
-        gone, self._changed = set(self._changed), {}
-        self._undecided.clear()
-        if len(self._truth) > _KEPT:
-            for cache in (self._truth, self._proofs, self._reads, self._readers):
-                cache.clear()
-        for stratum in range(max(self.rules.strata.values()) + 1):
-            judged = dict.fromkeys(fact for read in reads for fact in self._readers_of(read, stratum))
-            fallen, falling = dict[Fluent, Truth](), list(judged)
-            for fact in falling:  # grows
-                if self._truth[fact] is not False and self._rests_on_any(fact, gone):
-                    fallen[fact], self._truth[fact] = self._truth[fact], False
-                    gone.add(fact)
-                    falling += self._readers_of(fact, stratum)
-            for fact in fallen:
-                del self._proofs[fact]
-            for fact, before in {**self._settle(stratum, {**judged, **fallen}), **fallen}.items():
-                if self._truth[fact] is before:
-                    gone.discard(fact)
-                else:
-                    gone.add(fact)
-                    reads.append(fact)
-
-    def _patterns(self, fluent: Fluent) -> Iterator[_Read]:
-        for length, known in self._tables.get(fluent[0], {}):
-            if length == len(fluent):
-                yield fluent[0], length, known, tuple([fluent[position] for position in known])
-
-    def _rests_on_any(self, fact: Fluent, gone: set[Fluent]) -> bool:
-        proof = self._proofs[fact]
-        return any(not gone.isdisjoint(fluents(part, self, proof.env)) for part in proof.body.parts)
-
-    # --- why --------------------------------------------------------------------------------------
-
-    def rests_on(self, fluent: Fluent) -> frozenset[Fluent]:
-        """Return the unknown recorded fluents that decide whether a derived fact holds; none when that is known."""
-        unknown: set[Fluent] = set()
-        waiting = {fluent} if self.value(fluent) is UNKNOWN else set()
-        while waiting:
-            undecided = waiting.pop()
-            unknown.add(undecided)
-            if undecided[0] in self.rules.derived:
-                waiting |= self._waits_for(undecided) - unknown
-        return frozenset(fluent for fluent in unknown if fluent[0] not in self.rules.derived)
-
-    def _waits_for(self, fluent: Fluent) -> frozenset[Fluent]:
-        """Return the unknown fluents in the bodies that may still turn out to derive the fact."""
-        if fluent not in self._undecided:
-            attempts = [attempt for attempt in self._ended(fluent, _Judge(self)) if attempt.succeeded and attempt.truth is UNKNOWN]
-            parts = ((part, attempt.env) for attempt in attempts for part in attempt.body.parts)
-            asked = (below for part, env in parts if evaluate(part, self, env) is UNKNOWN for below in fluents(part, self, env))
-            self._undecided[fluent] = frozenset(below for below in asked if self.value(below) is UNKNOWN)
-        return self._undecided[fluent]
-
-    def because(self, fluent: Fluent) -> str:
-        """Return why a derived fact has its truth, in recorded facts: "because of …", or "for want of …" if it is false."""
-        truth = self.value(fluent)
-        if truth is UNKNOWN:
-            return _listed("because of", sorted(map(fluent_text, self.rests_on(fluent))))
-        derived, seen, reasons = [fluent], {fluent}, dict[str, None]()
-        for fact in derived:  # grows
-            for part, env in self._grounds(fact):
-                below = bind(part.fluent, env) if isinstance(part, Holds) else ()
-                if below[:1] and below[0] in self.rules.derived:
-                    derived += {below} - seen
-                    seen.add(below)
-                elif names(part):
-                    reasons[str(ground(part, env))] = None
-        # the last attempt explains more than the first: it usually got furthest
-        return _listed("because of", list(reasons)) if truth else _listed("for want of", list(reversed(reasons)))
-
-    def _grounds(self, fluent: Fluent) -> Iterator[tuple[Condition, Environment]]:
-        """Yield the conditions that prove the fact, or those at which every attempt failed, with their bindings."""
-        if self.value(fluent) is True:
-            proof = self._proofs[fluent]
-            yield from ((part, proof.env) for part in proof.body.parts)
-            return
-        for attempt in self._ended(fluent, _Judge(self)):
-            step = attempt.body.steps[attempt.position]
-            if not isinstance(step, ChooseObject):
-                yield step.condition, attempt.env
-
-    def _ended(self, fluent: Fluent, judge: _Judge) -> Iterator[_Attempt]:
-        """Yield all attempts to derive the fact, each at its last step, as far as is known."""
-        waiting = list(reversed(self._attempts(fluent)))
-        while waiting:
-            attempt = waiting.pop()
-            further = [] if attempt.succeeded else self._further(attempt, judge)
-            if further:
-                waiting += reversed(further)
-            else:
-                yield attempt
-
-    # --- following bodies -------------------------------------------------------------------------
-
-    def _attempts(self, fluent: Fluent) -> list[_Attempt]:
-        """Return an attempt to derive the fact for every body that is about it."""
-        return [
-            _Attempt(fluent, body, dict(zip((variable.name for variable in body.head), fluent[1:], strict=True)))
-            for body in self.rules.bodies[fluent[0]]
-            if len(body.head) == len(fluent) - 1 and all(map(self._is_of, fluent[1:], (variable.types for variable in body.head)))
-        ]
-
-    def _further(self, attempt: _Attempt, judge: _Judge) -> list[_Attempt]:
-        """Return the attempt after its next step, once for every binding with which that succeeds."""
-        match attempt.body.steps[attempt.position]:
-            case CheckCondition(condition):
-                truth = evaluate(condition, judge, attempt.env)
-                return [] if truth is False else [attempt.advanced(attempt.env, truth)]
-            case ChooseObject(variable):
-                return [attempt.advanced({**attempt.env, variable.name: name}) for name in self.objects(variable.types)]
-            case FindFact() as find:
-                return [attempt.advanced(env, truth) for env, truth in self._matches(find, attempt.env, judge)]
-            case other:
-                assert_never(other)
-
-    def _matches(self, find: FindFact, env: Environment, judge: _Judge) -> Iterator[tuple[Environment, Truth]]:
-        """Yield the environment extended by each recorded fact that matches, and the truth of that fact."""
-        pattern = bind(find.condition.fluent, env)
-        name, length, terms = pattern[0], len(pattern), tuple([pattern[position] for position in find.known])
-        judge.reads[name, length, find.known, terms] = None
-        tables = self._tables.setdefault(name, {})
-        if (length, find.known) not in tables:
-            table = tables[length, find.known] = {}
-            for fact in self._recorded:
-                if fact[0] == name and len(fact) == length:
-                    self._enter(fact, table.setdefault(tuple([fact[position] for position in find.known]), {}))
-        for fact in tables[length, find.known].get(terms, ()):
-            inner = dict(env)
-            if all(self._is_of(fact[at], new.types) and inner.setdefault(new.name, fact[at]) == fact[at] for at, new in find.new):
-                yield inner, UNKNOWN if self._recorded[fact] is UNKNOWN else True
-
-    def _is_of(self, name: str, types: tuple[str, ...]) -> bool:
-        if types not in self._members:
-            self._members[types] = frozenset(self.objects(types))
-        return name in self._members[types]
-
-
-class _Judge:
-    """The state as rules of a stratum see it: facts of that which nobody has asked about yet are false, and opened.
-
-    The mutable state is what the constructor sets besides `objects`.
-    """
-
-    def __init__(self, facts: DerivedFacts, stratum: int | None = None) -> None:
-        self.objects = facts.objects
-        self._facts = facts
-        self._stratum = stratum
-        self.reads: dict[_Read, None] = {}
-        """What has been asked for."""
-        self.opened: dict[Fluent, None] = {}
-
-    def value(self, fluent: Fluent, /) -> Value | Unknown | None:
-        """Return the value of a fluent, as far as is known."""
-        self.reads[fluent] = None
-        facts = self._facts
-        if facts.rules.strata.get(fluent[0], -1) != self._stratum or facts.knows(fluent):
-            return facts.value(fluent)
-        self.opened[fluent] = None
-        return False
-
-
-def _listed(how: str, reasons: list[str]) -> str:
-    if not reasons:
-        return ""
-    more = f" and {len(reasons) - LISTED} more" if len(reasons) > LISTED else ""
-    return f"{how} {', '.join(reasons[:LISTED])}{more}"
+def _moved(way: _Way, again: Holds) -> tuple[int, ...]:
+    """Return the positions of the fact asked for whose terms are others, if all else of the alternative is only about these."""
+    head, own, parts = way
+    terms, elsewhere = again.fluent[1:], frozenset().union(*(free_variables(part) for part in parts if part != again))
+    moved = tuple([position for position, variable in enumerate(head) if terms[position] != variable.name or variable.name in elsewhere])
+    types = {variable.name: variable.types for variable in own}
+    new = [terms[position] for position in moved if types.get(terms[position]) == head[position].types]
+    return moved if len(set(new)) == len(moved) < len(head) else ()

@@ -14,6 +14,7 @@ from pnm.core.logic.conditions import All, Any, Compare, Condition, Exists, ForA
 from pnm.core.logic.expressions import UNKNOWN, Constant, Fluent, ValueOf, Variable
 from pnm.core.logic.rules import DerivationRule, Rules, UnstratifiedError
 from tests.support.logic.rules import ARITY, BASE, FACTS, TYPES, Facts, known, least, stratified_conditions
+from tests.support.runs.timing import functions_called
 
 LOWER, UPPER = ("d", "f"), ("g", "h")
 STRATA = ({*LOWER}, {*UPPER})
@@ -157,6 +158,27 @@ def test_the_end_of_a_long_chain_is_reached_and_again_after_every_change(rule: D
         knowledge.update({("edge", f"n{index}", f"n{index + 1}"): False})
         assert knowledge.value(("reach", "n0", "n299")) is False
         knowledge.update({("edge", f"n{index}", f"n{index + 1}"): True})
+
+
+@pytest.mark.parametrize("rule", [ON, BACK])
+@pytest.mark.parametrize("is_from_one", [True, False])
+def test_ways_from_one_to_all_cost_what_there_is_on_them_and_after_a_change_what_that_concerns(
+    rule: DerivationRule, is_from_one: bool
+) -> None:
+    first, again = dict[int, int](), dict[int, int]()
+    for length in (20, 80):
+        knowledge = graph(chain_edges(length), rule)
+        ways = [("reach", "n0", f"n{index}") if is_from_one else ("reach", f"n{index}", f"n{length - 1}") for index in range(1, length - 1)]
+        with functions_called() as called:
+            assert all(map(knowledge.value, ways))
+        first[length] = called()
+        for is_open in (False, True):
+            knowledge.update({("edge", "n0", "n1") if not is_from_one else ("edge", f"n{length - 2}", f"n{length - 1}"): is_open})
+            with functions_called() as called:
+                knowledge.value(ways[0])
+            again[length] = max(again.get(length, 0), called())
+    assert first[80] < 5 * first[20]
+    assert again[80] == again[20]
 
 
 NODES = tuple(f"n{index}" for index in range(6))
