@@ -18,6 +18,7 @@ from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Final, Generic, TypeVar
 
+from pnm.core.logic.compiled import RecordedState
 from pnm.core.logic.computed_values import MISSING
 from pnm.core.logic.derived_facts import DerivedFacts
 from pnm.core.logic.effects import Changes
@@ -31,7 +32,7 @@ _REMEMBERED: Final = 20_000
 Listener = Callable[[Mapping[Fluent, Value | Unknown]], None]
 
 
-class KnowledgeBase:
+class KnowledgeBase(RecordedState):
     """One store of facts, numbers and variables that notifies its listeners of changes.
 
     The mutable state is the dictionaries set in the constructor, the list of listeners, the last changes, and the
@@ -48,8 +49,8 @@ class KnowledgeBase:
         rules: Rules = NO_RULES,
     ) -> None:
         self.rules = rules
-        self._derived = rules.derived
-        if self._derived:
+        self.derived = rules.derived
+        if self.derived:
             self._refuse_derived(facts or {})
         self._facts: dict[Fluent, Value | Unknown] = dict(facts or {})
         self._present: dict[str, dict[Fluent, None]] | None = None
@@ -76,7 +77,7 @@ class KnowledgeBase:
     def value(self, fluent: Fluent, /) -> Value | Unknown | None:
         """Return the recorded value of the fluent, None when there is none; or the truth of a derived fact."""
         value = self._facts.get(fluent)
-        if value is None and fluent[0] in self._derived:
+        if value is None and fluent[0] in self.derived:
             return self._derived_facts.value(fluent)
         return value
 
@@ -94,7 +95,7 @@ class KnowledgeBase:
 
     def because(self, fluent: Fluent, /) -> str:
         """Return why a derived fact holds or does not, in recorded facts, or why any other is unknown; empty if nothing is to be said."""
-        if fluent[0] in self._derived:
+        if fluent[0] in self.derived:
             return self._derived_facts.because(fluent)
         why = self._why_unknown.get(fluent)
         return f"({why})" if why else ""
@@ -105,9 +106,9 @@ class KnowledgeBase:
 
     def rests_on(self, fluents: frozenset[Fluent]) -> frozenset[Fluent]:
         """Return the fluents with each derived one replaced by the unknown fluents that decide whether it holds."""
-        if not self._derived:
+        if not self.derived:
             return fluents
-        derived = frozenset(fluent for fluent in fluents if fluent[0] in self._derived)
+        derived = frozenset(fluent for fluent in fluents if fluent[0] in self.derived)
         return (fluents - derived).union(*map(self._derived_facts.rests_on, derived))
 
     # facts
@@ -129,7 +130,7 @@ class KnowledgeBase:
 
     def record(self, changes: Mapping[Fluent, Value | Unknown], why: str = "") -> Changes:
         """Record changes of fluents that are known to be well-formed, such as effects; otherwise as `update`."""
-        if self._derived:
+        if self.derived:
             self._refuse_derived(changes)
         facts = self._facts
         real = {fluent: value for fluent, value in changes.items() if not same_value(facts.get(fluent), value)}
@@ -141,7 +142,7 @@ class KnowledgeBase:
             self._changed += real
             if len(self._changed) > _REMEMBERED:
                 self._forget_changes(_REMEMBERED // 2)
-            if self._derived:
+            if self.derived:
                 self._derived_facts.changed(real)
         if real or news:
             self._tell(real, {why: news} if news else {})
@@ -172,8 +173,8 @@ class KnowledgeBase:
         A fact that it omits is false, an object fluent that it omits has no object, and a number that it omits is
         unknown. Derived facts in it are ignored.
         """
-        names = frozenset(names) - self._derived
-        if self._derived:
+        names = frozenset(names) - self.derived
+        if self.derived:
             facts = {fluent: value for fluent, value in facts.items() if not self._derives(fluent)}
         if self._present is None:
             self._present = {}
@@ -195,11 +196,11 @@ class KnowledgeBase:
         Sensed fluents keep their last report: sensors do not report again because of a new world. Given facts that
         rules derive raise `InputError`, and nothing changes.
         """
-        old_rules, self.rules, self._derived = self.rules, rules, rules.derived
+        old_rules, self.rules, self.derived = self.rules, rules, rules.derived
         try:
             self._refuse_derived(facts)
         except InputError:
-            self.rules, self._derived = old_rules, old_rules.derived
+            self.rules, self.derived = old_rules, old_rules.derived
             raise
         reported = {fluent: value for fluent, value in self._facts.items() if self.is_sensed(fluent) and not self._derives(fluent)}
         facts = {**{fluent: value for fluent, value in facts.items() if not self.is_sensed(fluent)}, **reported}
@@ -219,7 +220,7 @@ class KnowledgeBase:
             raise InputError(f"{fluent_text(fluent)} follows from rules; it is neither set nor reported")
 
     def _derives(self, fluent: object) -> bool:
-        return isinstance(fluent, tuple) and fluent[:1] != () and fluent[0] in self._derived
+        return isinstance(fluent, tuple) and fluent[:1] != () and fluent[0] in self.derived
 
     def listen(self, listener: Listener) -> Callable[[], None]:
         """Call the listener with every batch of changes; return what unsubscribes it.
@@ -251,7 +252,7 @@ class KnowledgeBase:
     def sense(self, names: Iterable[str], *, lag: float = 0.0) -> None:
         """Mark predicates and functions as sensed: reported, at most `lag` seconds late; raise `InputError` if that is not finite."""
         check_seconds("a report", lag)
-        news = {name: lag for name in names if name not in self._derived and self._sensed.get(name) != lag}
+        news = {name: lag for name in names if name not in self.derived and self._sensed.get(name) != lag}
         self._sensed.update(news)
         if news:
             self._forget_changes()
@@ -264,7 +265,7 @@ class KnowledgeBase:
     def is_sensed(self, fluent: Fluent) -> bool:
         """Return whether the fluent is sensed; a derived one, whether all fluents below it are."""
         name = fluent[0]
-        return all(below in self._sensed for below in self.rules.base((name,))) if name in self._derived else name in self._sensed
+        return all(below in self._sensed for below in self.rules.base((name,))) if name in self.derived else name in self._sensed
 
     def reported(self, values: Mapping[Fluent, Value]) -> dict[Fluent, Value]:
         """Return those of the values that sensors report."""
@@ -278,7 +279,7 @@ class KnowledgeBase:
         """Return whether all fluents of these names are sensed."""
         if not self._sensed:
             return not names
-        return (self.rules.base(names) if self._derived else names) <= self._sensed.keys()
+        return (self.rules.base(names) if self.derived else names) <= self._sensed.keys()
 
     def lag(self, names: Iterable[str]) -> float:
         """Return the lag in seconds of the slowest report about the names, or the base names below them."""

@@ -17,6 +17,7 @@ from typing import NamedTuple, TypeAlias, assert_never
 from pnm.core.execution.questions import EvaluationContext, unknown_values
 from pnm.core.knowledge_base import KnowledgeBase
 from pnm.core.logic import conditions
+from pnm.core.logic.compiled import CompiledCondition, compiled
 from pnm.core.logic.computed_values import (
     may_ask,
 )
@@ -247,7 +248,7 @@ class ClosedCall(NamedTuple):
     """The names of all that its effects may change."""
     expects: bool
     """Whether it has a condition for its end, or something is expected of it."""
-    needed: conditions.CompiledCondition | None
+    needed: CompiledCondition | None
     """The condition until its end, and there; None for nothing."""
     effects: ConstantEffects | None
     """None if what it changes depends on the state."""
@@ -291,5 +292,5 @@ def closed_call(call: ActionCall) -> ClosedCall | None:
         done = () if any(map(is_number, changed.values())) else tuple(changed.items())
         effects = ConstantEffects(Intention(start, end, action.end_effects), visible, done)
     expects, needed = not (action.end_condition == action.expected == conditions.TRUE), (action.invariant, action.end_condition)
-    checked = None if (condition := conditions.conjunction(needed)) == conditions.TRUE else conditions.compiled(condition)
+    checked = None if (condition := conditions.conjunction(needed)) == conditions.TRUE else compiled(condition)
     return ClosedCall(own_values(action), names_written((*action.start_effects, *action.end_effects)), expects, checked, effects)

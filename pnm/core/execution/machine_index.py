@@ -13,7 +13,7 @@ from typing import Final
 from weakref import WeakKeyDictionary
 
 from pnm.core.execution.call_data import ClosedCall, closed_call, reads_of_guard
-from pnm.core.logic.conditions import CompiledCondition, compiled
+from pnm.core.logic.compiled import CompiledCondition, compiled
 from pnm.core.logic.expressions import Fluent
 from pnm.core.logic.rules import Reads, Rules
 from pnm.core.machine.blocks import PlacedStep

@@ -16,7 +16,7 @@ from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass
 from math import prod
-from typing import Final, NamedTuple, Protocol, TypeAlias, assert_never
+from typing import Final, Protocol, TypeAlias, assert_never
 
 from pnm.core.logic.computed_values import (
     MISSING,
@@ -235,16 +235,20 @@ def _add_fluents(found: set[Fluent], condition: Condition, state: State, env: En
 
 def names(condition: Condition) -> frozenset[str]:
     """Return the predicates and functions the condition mentions."""
-    mentioned: set[str] = set()
+    return frozenset([fluent[0] for fluent in fluents_of(condition)])
+
+
+def fluents_of(condition: Condition) -> Iterator[Fluent]:
+    """Yield the fluents that the condition mentions, with the variables that they have there."""
     for part in every_part(condition):
         match part:
             case Holds(fluent):
-                mentioned.add(fluent[0])
+                yield fluent
             case Compare(_, left, right):
-                mentioned.update(fluent[0] for side in (left, right) for fluent in expression_fluents(side))
+                yield from expression_fluents(left)
+                yield from expression_fluents(right)
             case Computed(data):
-                mentioned.update(fluent[0] for fluent in fluents_in(data))
-    return frozenset(mentioned)
+                yield from fluents_in(data)
 
 
 def polarities(condition: Condition, positive: bool = True) -> Iterator[tuple[str, bool]]:
@@ -453,71 +457,3 @@ def _observed_fluent(fluent: Fluent, state: Witness) -> str:
         case _:
             text = str(value)
     return f"{fluent_text(fluent)} is {text}{' ' if reason else ''}{reason}"
-
-
-# --- as functions of a state: the same truth, without walking through the condition --------
-
-TruthIn: TypeAlias = Callable[[State], Truth]
-
-
-class CompiledCondition(NamedTuple):
-    """A condition without free variables as a function."""
-
-    truth: TruthIn
-    reads_variables: bool
-    """Whether it reads anything but facts and numbers."""
-
-    def holds_by_facts(self, state: State) -> bool:
-        """Return whether facts and numbers alone decide that it holds."""
-        return not self.reads_variables and self.truth(state) is True
-
-
-def compiled(condition: Condition) -> CompiledCondition:
-    """Return a function for the truth of a condition without free variables in a state; raises what `evaluate` raises."""
-    parts = conjuncts(condition)
-    facts = tuple(part.fluent for part in parts if isinstance(part, Holds))
-    if len(facts) == len(parts):
-        return CompiledCondition(_all_facts(facts), reads_variables=False)
-    truth = _truth_of(parts[0]) if len(parts) == 1 else _all_parts(tuple(map(_truth_of, parts)))
-    return CompiledCondition(truth, any(True for _ in data_in(condition)))
-
-
-def _truth_of(condition: Condition) -> TruthIn:
-    match condition:
-        case Holds(fluent):
-            return lambda state: value if (value := state.value(fluent)) is UNKNOWN else bool(value)
-        case Not(operand):
-            truth = _truth_of(operand)
-            return lambda state: negate(truth(state))
-        case All():
-            return compiled(condition).truth
-        case _:
-            return lambda state: evaluate(condition, state)
-
-
-def _all_facts(fluents: tuple[Fluent, ...]) -> TruthIn:
-    def hold(state: State) -> Truth:
-        result: Truth = True
-        for fluent in fluents:
-            value = state.value(fluent)
-            if value is UNKNOWN:
-                result = UNKNOWN
-            elif not value:
-                return False
-        return result
-
-    return hold
-
-
-def _all_parts(parts: tuple[TruthIn, ...]) -> TruthIn:
-    def hold(state: State) -> Truth:
-        result: Truth = True
-        for part in parts:
-            truth = part(state)
-            if truth is False:
-                return False
-            if truth is UNKNOWN:
-                result = UNKNOWN
-        return result
-
-    return hold

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import pytest
 from hypothesis import given, strategies as st
 
 from pnm.core.knowledge_base import KnowledgeBase, parse_fluent, parse_statement, statement_text
+from pnm.core.logic.compiled import compiled
 from pnm.core.logic.conditions import (
     TRUE,
     All,
@@ -16,7 +19,6 @@ from pnm.core.logic.conditions import (
     Holds,
     Implies,
     Not,
-    compiled,
     evaluate,
     fluents,
     ground,
@@ -25,7 +27,9 @@ from pnm.core.logic.conditions import (
 from pnm.core.logic.expressions import UNKNOWN, Environment, Fluent, Truth, Unknown, Value, Variable, choices
 from pnm.errors import InputError
 from tests.support.logic.rules import ALL_FACTS, ALL_NUMBERS, BASE, FACTS, OBJECTS, known, stratified_conditions
+from tests.support.runs.timing import functions_called
 
+X = Variable("?x")
 VARIABLES = st.lists(st.sampled_from(("?x", "?y")), min_size=1, max_size=2, unique=True).map(lambda chosen: tuple(map(Variable, chosen)))
 CONDITIONS = stratified_conditions(("?x", "?y"), BASE, BASE, 3)
 NAMES = OBJECTS["object"]
@@ -112,6 +116,46 @@ def test_grounding_first_gives_the_same(condition: Condition, state: KnowledgeBa
 def test_a_compiled_condition_has_the_same_truth(condition: Condition, env: Environment, state: KnowledgeBase) -> None:
     grounded = ground(condition, env)
     assert compiled(grounded).truth(state) is evaluate(grounded, state)
+
+
+CHANGE = st.dictionaries(
+    st.sampled_from([*ALL_FACTS, ("q", "stranger"), ("n", "a")]), st.sampled_from((True, False, UNKNOWN, 0.0)), max_size=2
+)
+
+
+@given(st.sampled_from((ForAll, Exists)), VARIABLES, CONDITIONS, ENVIRONMENTS, STATES, st.lists(CHANGE, max_size=6))
+def test_a_compiled_condition_over_all_has_the_same_truth_after_every_change(
+    kind: type[ForAll] | type[Exists],
+    variables: tuple[Variable, ...],
+    body: Condition,
+    env: Environment,
+    state: KnowledgeBase,
+    changes: list[Mapping[Fluent, Value | Unknown]],
+) -> None:
+    condition = ground(kind(variables, body), env)
+    truth = compiled(condition).truth
+    for change in ({}, *changes, {}):
+        state.update(change)
+        assert truth(state) is evaluate(condition, state)
+    state.begin_anew({("q", "b"): True}, {"object": ("b",)}, state.rules)
+    assert truth(state) is evaluate(condition, state)
+
+
+def test_of_all_objects_those_are_looked_at_that_a_change_is_about() -> None:
+    def called_by_change(count: int) -> int:
+        objects = tuple(f"o{number}" for number in range(count))
+        state = KnowledgeBase({("q", one): True for one in objects}, objects={"object": objects})
+        truth = compiled(All((ForAll((X,), Holds(("q", "?x"))), Not(Exists((X,), Not(Holds(("q", "?x")))))))).truth
+        assert truth(state) is True
+        with functions_called() as called:
+            for one in (objects[-1], objects[0]):
+                state.update({("q", one): False})
+                assert truth(state) is False
+                state.update({("q", one): True})
+                assert truth(state) is True
+        return called()
+
+    assert called_by_change(10) == called_by_change(40)
 
 
 # --- statements: what is written is read, and the rest is refused ---
