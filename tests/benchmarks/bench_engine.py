@@ -42,7 +42,7 @@ from pnm.core.machine.plan_graph import (
 from pnm.core.machine.requests import Accepted, Ended, Outcome, OutcomeKind
 from pnm.core.machine.verification.verify import forget_proofs, verify
 from pnm.language.plan import read_plans
-from tests.support.benchmarks.waiting import CHARGE, constrained, fact, heard
+from tests.support.benchmarks.waiting import CHARGE, OTHER, constrained, fact, fleet, heard
 from tests.support.benchmarks.workloads import checked, in_a_row, inline, loop, side_by_side
 from tests.support.files import ROOT
 from tests.support.runs.timing import seconds
@@ -173,10 +173,10 @@ def changes() -> None:
     """A fact changes: one that nothing mentions, and one that one of many conditions over all, or constraints, does."""
     for count in (100, 1_000):
         for on_change in OnChange:
-            of_none, of_one = (fact(count, on_change, fluent) for fluent in (("other",), CHARGE))
+            of_none, of_one = (fact(fleet(count), fluent, on_change) for fluent in (OTHER, CHARGE))
             print(f"a change among {count} calls, {on_change.value}: {of_none:.1f} us if none reads it, {of_one:.1f} us if one does")
         world, look = constrained(10 * count)
-        of_none, of_one = (heard(world, look, fluent) for fluent in (("other",), ("fit", "r5")))
+        of_none, of_one = (heard(world, look, fluent) for fluent in (OTHER, ("fit", "r5")))
         print(f"a change among {10 * count} constraints: {of_none:.1f} us if none reads it (at most 5), {of_one:.1f} us if one does (50)")
 
 

@@ -13,7 +13,6 @@ from statistics import median
 from planner_bridge.model.plan import Plan, PlanStep
 from planner_bridge.ordering.plan_to_graph import plan_graph
 from planner_bridge.pddl import parse_domain, parse_problem
-from planner_bridge.tasks.settings import OnChange
 from pnm.core.execution.machine_index import prepare
 from pnm.core.knowledge_base import KnowledgeBase
 from pnm.core.logic.conditions import Compare, evaluate
@@ -22,7 +21,7 @@ from pnm.core.machine.generate import generate
 from pnm.core.machine.verification.verify import verify
 from tests.support.benchmarks.failures import measured, tour
 from tests.support.benchmarks.peers.worker import Measure, NotHere, each
-from tests.support.benchmarks.waiting import CHARGE, fact, taking_turns
+from tests.support.benchmarks.waiting import CHARGE, LAMP, OTHER, fact, fleet, hall, report, searched, taking_turns, ways, ways_at_first
 from tests.support.files import ROOT
 
 _CLEAN = """
@@ -50,16 +49,17 @@ def machine(size: int) -> float:
     return each(make, size)
 
 
-def change(size: int) -> float:
-    """A report comes that one of so many conditions over all reads, in a task: recorded, heard of by all, and judged."""
-    return fact(size, OnChange.LAZY, CHARGE)
-
-
 def change_unindexed(size: int) -> float:
-    """The same where all conditions are judged, as executives do that look at everything whenever they look."""
+    """A change of a fact where all conditions are judged, as executives do that look at everything whenever they look."""
     world = KnowledgeBase({("charge", f"r{index}"): 9.0 for index in range(size)})
     conditions = [Compare(">=", ValueOf(("charge", f"r{index}")), Constant(1.0)) for index in range(size)]
     return each(lambda: [evaluate(condition, world) for condition in conditions], 1)
+
+
+def lamps_looked_at(size: int) -> float:
+    """The same for one condition over so many objects."""
+    lit = dict.fromkeys((("lit", f"l{index}") for index in range(size)), True)
+    return each(lambda: all(map(lit.__getitem__, lit)), 1)
 
 
 # --- whole ways, by the clock on the wall -------------------------------------------------------------
@@ -113,8 +113,16 @@ _FIRST = [sys.executable, "-m", "tests.support.benchmarks.executives.first_reque
 
 MEASURES: dict[str, Measure] = {
     "machine": machine,
-    "change": change,
+    "change": lambda size: fact(fleet(size), CHARGE),
+    "change-unread": lambda size: fact(fleet(size), OTHER),
     "change-unindexed": change_unindexed,
+    "lamp": lambda size: fact(hall(size), LAMP),
+    "lamp-unread": lambda size: fact(hall(size), OTHER),
+    "lamps-looked-at": lamps_looked_at,
+    "report": report,
+    "ways": ways,
+    "ways-first": ways_at_first,
+    "ways-searched": searched,
     "resource": taking_turns,
     "failure": failure,
     "failure-planner": failure_planner,
