@@ -116,7 +116,7 @@ class RecordedState(State):
 def _is_countable(condition: ForAll | Exists) -> bool:
     own = {variable.name for variable in condition.variables}
     inner = (part.variables for part in every_part(condition.body) if isinstance(part, ForAll | Exists))
-    return not any(data_in(condition)) and all(variable.name not in own for variables in inner for variable in variables)
+    return not any(True for _ in data_in(condition)) and all(variable.name not in own for variables in inner for variable in variables)
 
 
 @dataclass(slots=True)

@@ -165,7 +165,7 @@ ROWS: Final = (
         "The same while one call is under way, on the condition that a fact is so of every one of so many objects.",
         "µs",
         "objects",
-        (100, 1_000),
+        (100, 1_000, 10_000),
         (Subject("ours", "lamp"), Subject("ours, of another fact", "lamp-unread"), floor("all objects looked at", "lamps-looked-at")),
     ),
     Row(
