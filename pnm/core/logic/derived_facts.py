@@ -12,7 +12,7 @@ from pnm.core.logic.rules import Body, CheckCondition, ChooseObject, FindFact, R
 
 LISTED: Final = 4
 """Reasons that an explanation names; the others are counted."""
-_KEPT: Final = 100_000
+KEPT: Final = 50_000
 """Derived facts that are maintained at most; if there are more at a change, all are forgotten."""
 _Read: TypeAlias = tuple[object, ...]
 """A fluent that a rule asks for, or a pattern of recorded facts: name, length, known positions and the terms there."""
@@ -157,7 +157,7 @@ class DerivedFacts:
         reads = [read for fluent in self._changed for read in (fluent, *self._patterns(fluent))]
         gone, self._changed = set(self._changed), {}
         self._undecided.clear()
-        if len(self._truth) > _KEPT:
+        if len(self._truth) > KEPT:
             for cache in (self._truth, self._proofs, self._reads, self._readers, self._asked, self._by_chain):
                 cache.clear()
         for stratum in range(max(self._strata.values()) + 1):

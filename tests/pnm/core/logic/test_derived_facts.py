@@ -10,6 +10,7 @@ import pytest
 from hypothesis import given, strategies as st
 
 from pnm.core.knowledge_base import KnowledgeBase
+from pnm.core.logic import derived_facts
 from pnm.core.logic.conditions import All, Any, Compare, Condition, Exists, ForAll, Holds, Implies, Not, free_variables, ground
 from pnm.core.logic.expressions import UNKNOWN, Constant, Fluent, ValueOf, Variable
 from pnm.core.logic.rules import DerivationRule, Rules, UnstratifiedError
@@ -150,8 +151,12 @@ def chain_edges(length: int) -> list[tuple[str, str]]:
     return [(f"n{index}", f"n{index + 1}") for index in range(length - 1)]
 
 
+@pytest.mark.parametrize("kept", [derived_facts.KEPT, 0])
 @pytest.mark.parametrize("rule", [ON, BACK])
-def test_the_end_of_a_long_chain_is_reached_and_again_after_every_change(rule: DerivationRule) -> None:
+def test_the_end_of_a_long_chain_is_reached_and_again_after_every_change(
+    rule: DerivationRule, kept: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(derived_facts, "KEPT", kept)
     knowledge = graph(chain_edges(300), rule)
     for index in range(100, 110):
         assert knowledge.value(("reach", "n0", "n299")) is True
