@@ -188,6 +188,12 @@ def test_ways_from_one_to_all_cost_what_there_is_on_them_and_after_a_change_what
 
 NODES = tuple(f"n{index}" for index in range(6))
 DOUBLED = DerivationRule("reach", (X, Y), Any((EDGE, Exists((Z,), All((Holds(("reach", "?x", "?z")), Holds(("reach", "?z", "?y"))))))))
+BACK_AND_FORTH = DerivationRule("reach", (X, Y), Any((ON.condition, BACK.condition)))
+ONE_WAY = DerivationRule(
+    "reach",
+    (X, Y),
+    Any((EDGE, Exists((Z,), All((Holds(("edge", "?x", "?z")), Not(Holds(("edge", "?z", "?x"))), Holds(("reach", "?z", "?y"))))))),
+)
 AGAIN = DerivationRule("again", (X, Y), All((REACH, Holds(("reach", "?y", "?x")))))
 APART = DerivationRule("apart", (X,), ForAll((Y,), Any((Not(Holds(("again", "?x", "?y"))), Holds(("apart", "?y"))))))
 EDGES = st.dictionaries(
@@ -203,7 +209,7 @@ CHANGES = st.lists(
 )
 
 
-@given(st.sampled_from((ON, BACK, DOUBLED)), EDGES, CHANGES, st.randoms(use_true_random=False))
+@given(st.sampled_from((ON, BACK, DOUBLED, BACK_AND_FORTH, ONE_WAY)), EDGES, CHANGES, st.randoms(use_true_random=False))
 def test_ways_through_any_graph_that_changes(rule: DerivationRule, edges: Facts, later: list[Facts], chooser: random.Random) -> None:
     rules = (rule, AGAIN, APART)
     knowledge = KnowledgeBase(edges, objects={"node": NODES}, rules=Rules(rules))
