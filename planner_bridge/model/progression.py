@@ -144,12 +144,13 @@ class Progression:
         for event, action in events:
             if event.moment is Moment.START:
                 if self._holds(event.call, "start", action.precondition):
-                    running[event.call] = replace(action, end_effects=decided(action.end_effects, self.state))
+                    end_effects = decided(action.end_effects, self.state)
+                    running[event.call] = action if end_effects is action.end_effects else replace(action, end_effects=end_effects)
                     effects.append(action.start_effects)
             elif (begun := running.pop(event.call, None)) and self._holds(event.call, "end", action.end_condition):
                 effects.append(begun.end_effects)
         changed = {**changes(tuple(effect for many in effects for effect in many), self.state), **timed}
-        self.state.update(changed)
+        self.state.record(changed)
         self.running = running
         for call in [call for call, action in running.items() if not self._holds(call, "go on", action.invariant)]:
             del running[call]
