@@ -83,6 +83,33 @@ def hard(holes: int = 30) -> Problem:
     return parse_problem(f"(define (problem p) (:domain d) (:objects {things}) (:init {init}) (:goal (and {goal})))", parse_domain(domain))
 
 
+FLOOR = """
+(define (domain floor) (:requirements :typing) (:types robot tile colour)
+  (:predicates (on ?r - robot ?t - tile) (beside ?a ?b - tile) (over ?a ?b - tile) (bare ?t - tile) (has ?t - tile ?c - colour)
+    (brush ?r - robot ?c - colour))
+  (:action move :parameters (?r - robot ?a ?b - tile)
+    :precondition (and (on ?r ?a) (beside ?a ?b) (bare ?b)) :effect (and (on ?r ?b) (bare ?a) (not (on ?r ?a)) (not (bare ?b))))
+  (:action dip :parameters (?r - robot ?c ?d - colour) :precondition (brush ?r ?c) :effect (and (brush ?r ?d) (not (brush ?r ?c))))
+  (:action paint :parameters (?r - robot ?a ?b - tile ?c - colour)
+    :precondition (and (on ?r ?a) (over ?b ?a) (bare ?b) (brush ?r ?c)) :effect (and (has ?b ?c) (not (bare ?b)))))
+"""
+
+
+def tiles(width: int = 4, height: int = 4) -> Problem:
+    """Two robots paint all rows but the first of a floor like a chessboard. Kairos' first way of searching paints itself into a corner."""
+    name = {(x, y): f"t{x}{y}" for x in range(width) for y in range(height)}
+    beside = [f"(beside {name[a]} {name[b]})" for a in name for b in name if abs(a[0] - b[0]) + abs(a[1] - b[1]) == 1]
+    over = [f"(over {name[a]} {name[b]})" for a in name for b in name if a[0] == b[0] and abs(a[1] - b[1]) == 1]
+    robots = "(on r0 t00) (brush r0 black) (on r1 t10) (brush r1 white)"
+    bare = [f"(bare {tile})" for tile in name.values() if tile not in ("t00", "t10")]
+    goal = [f"(has {tile} {('black', 'white')[(x + y) % 2]})" for (x, y), tile in name.items() if y]
+    objects = f"{' '.join(name.values())} - tile r0 r1 - robot black white - colour"
+    init = " ".join((*beside, *over, *bare, robots))
+    return parse_problem(
+        f"(define (problem p) (:domain floor) (:objects {objects}) (:init {init}) (:goal (and {' '.join(goal)})))", parse_domain(FLOOR)
+    )
+
+
 FLEET = """
 (define (domain fleet)
   (:requirements :strips :typing :negative-preconditions)

@@ -10,9 +10,15 @@ from functools import cache, partial
 from pathlib import Path
 from statistics import median
 
-from planner_bridge.model.plan import Plan, PlanStep
+import kairos
+
+from planner_bridge.model.plan import Plan, PlanningResult, PlanningStatus, PlanStep
+from planner_bridge.model.problem import Problem
 from planner_bridge.ordering.plan_to_graph import plan_graph
 from planner_bridge.pddl import parse_domain, parse_problem
+from planner_bridge.planning.kairos import parse_for_kairos
+from planner_bridge.planning.solve import reduced, solve
+from planner_bridge.planning.validate import why_invalid
 from pnm.core.execution.machine_index import prepare
 from pnm.core.knowledge_base import KnowledgeBase
 from pnm.core.logic.conditions import Compare, evaluate
@@ -23,6 +29,7 @@ from tests.support.benchmarks.failures import measured, tour
 from tests.support.benchmarks.peers.worker import Measure, NotHere, each
 from tests.support.benchmarks.waiting import CHARGE, LAMP, OTHER, fact, fleet, hall, report, searched, taking_turns, ways, ways_at_first
 from tests.support.files import ROOT
+from tests.support.pddl.problems import tiles
 
 _CLEAN = """
 (define (domain cleaning) (:requirements :typing) (:types robot room)
@@ -60,6 +67,38 @@ def lamps_looked_at(size: int) -> float:
     """The same for one condition over so many objects."""
     lit = dict.fromkeys((("lit", f"l{index}") for index in range(size)), True)
     return each(lambda: all(map(lit.__getitem__, lit)), 1)
+
+
+def _asked(calls: int) -> tuple[Problem, Plan]:
+    """A plan of so many calls of which none is needed more than another, and without one all others can be carried out."""
+    domain = """(define (domain d) (:requirements :fluents) (:predicates (ready)) (:functions (asked))
+      (:action ask :parameters () :precondition (ready) :effect (increase (asked) 1)))"""
+    text = f"(define (problem p) (:domain d) (:init (ready) (= (asked) 0)) (:goal (>= (asked) {calls})))"
+    return parse_problem(text, parse_domain(domain)), Plan(tuple(PlanStep("ask", (), float(number)) for number in range(calls)))
+
+
+def needless(size: int) -> float:
+    """Milliseconds of the search for needless calls in a plan where each has to be tried to its end."""
+    problem, plan = _asked(size)
+    return each(lambda: reduced(problem, PlanningResult(PlanningStatus.SOLVED, plan)), 1000)
+
+
+def valid(size: int) -> float:
+    """Milliseconds of one simulation of the same plan."""
+    problem, plan = _asked(size)
+    return each(lambda: why_invalid(problem, plan), 1000)
+
+
+def plan_of_tiles(size: int) -> float:
+    """Milliseconds of the search for a plan that Kairos' first way of searching does not find soon."""
+    problem = tiles(size, size)
+    return each(lambda: solve(problem, improve=0.04, timeout=120.0), 1000)
+
+
+def plan_of_tiles_by_kairos(size: int) -> float:
+    """The same of Kairos as it is by default, with a thread for each core."""
+    problem = parse_for_kairos(tiles(size, size))
+    return each(lambda: kairos.Planner().solve(problem, anytime=False, timeout=120.0), 1000)
 
 
 # --- whole ways, by the clock on the wall -------------------------------------------------------------
@@ -124,6 +163,10 @@ MEASURES: dict[str, Measure] = {
     "ways-first": ways_at_first,
     "ways-searched": searched,
     "resource": taking_turns,
+    "needless": needless,
+    "valid": valid,
+    "plan-tiles": plan_of_tiles,
+    "plan-tiles-kairos": plan_of_tiles_by_kairos,
     "failure": failure,
     "failure-planner": failure_planner,
     "first-request": partial(process, [*_FIRST, "ours"]),

@@ -195,6 +195,24 @@ ROWS: Final = (
         rounds=2,
     ),
     Row(
+        "A plan that the planner's first way of searching does not find soon",
+        "Two robots paint the tiles of a square like a chessboard. Ours waits for a second before it tries other ways.",
+        "ms",
+        "tiles a side",
+        (4,),
+        (Subject("ours", "plan-tiles"), Subject("kairos, a thread for each core", "plan-tiles-kairos", does_less=True)),
+        rounds=3,
+    ),
+    Row(
+        "The search for needless calls in a plan",
+        "Each call has to be tried, and without it all others are simulated.",
+        "ms",
+        "calls",
+        (250, 1_000, 4_000),
+        (Subject("ours", "needless"), floor("one simulation of the plan", "valid")),
+        rounds=2,
+    ),
+    Row(
         "From a failure to the first request of the new plan",
         "A robot inspects places, and its first inspections fail: nearly all of the plan is made anew. By the clock on the wall. "
         "UP-ESB does not execute the plan that its callback returns.",
@@ -248,5 +266,7 @@ GATE: Final = (
     ("resource", 100),
     ("tasks-begin", 200),
     ("tasks-next", 200),
+    ("plan-tiles", 4),
+    ("needless", 1_000),
 )
 """Measures, with a size, that may not become much slower."""
