@@ -34,9 +34,9 @@ _WEIGHED: Final = 0.5
 """The same share where preferences are weighed: the first plans often fulfil none of them."""
 _BESIDE: Final = {"ehc": 0.2, "goals": 0.2, "novelty": 0.6}
 """Other ways of searching in Kairos, which it has beside its own one. Once there is a plan: one after the other, each for this share
-of the time for improvement. While there is none: all at once. Each finds the first or the best plan for some problems."""
+of the time for improvement. While there is none: one more whenever so much time has passed again. Each finds plans for some problems."""
 _PATIENCE: Final = 1.0
-"""Seconds of processor time, of this process, without a plan after which the other ways of searching are tried as well."""
+"""Seconds of processor time of this process, without a plan, after which the first of the other ways of searching joins."""
 _STATUS: Final[Mapping[kairos.Status, PlanningStatus]] = {
     kairos.Status.SOLVED: PlanningStatus.NO_PLAN,  # without a plan, that is none
     kairos.Status.UNSOLVABLE: PlanningStatus.UNSOLVABLE,
@@ -105,8 +105,8 @@ def search(
 def search_with_kairos(problem: Problem, parsed: kairos.Problem, timeout: float, improve: float, cancel: CancelToken) -> PlanningResult:
     """Search for a plan until the timeout, or until the search is cancelled.
 
-    The search has one thread, so the same problem gets the same first plan. If that takes long, other ways of searching race it, and
-    the plan may be another one the next time; not with `improve` at 0, which asks for that first plan.
+    The search has one thread, so the same problem gets the same first plan. If that takes long, other ways of searching join it one by
+    one, and the plan may be another one the next time; not with `improve` at 0, which asks for that first plan.
 
     Once there is a plan, a better one is looked for, `improve` seconds at most: for as long as that is little beside the time that
     the best one takes, for robots wait.
@@ -114,13 +114,14 @@ def search_with_kairos(problem: Problem, parsed: kairos.Problem, timeout: float,
     start = partial(kairos.Planner().start, parsed, anytime=improve > 0.0, threads=1)  # type: ignore[no-untyped-call]
     search: kairos.Search = start(timeout=timeout)
     searches, others, best = [search], iter(_BESIDE.items()), None
-    until, patience = time.monotonic() + timeout, time.process_time() + _PATIENCE if improve > 0.0 else inf
+    until, began, patience = time.monotonic() + timeout, time.process_time(), _PATIENCE if improve > 0.0 else inf
+    helpers = iter(sorted(_BESIDE, key=_BESIDE.__getitem__, reverse=True))
     first = deadline = inf
     while search.running() and not cancel.is_set() and (now := time.monotonic()) < deadline:
         search.next_plan(min(_POLL, deadline - now))
-        if best is None and time.process_time() > patience:
-            beside, patience = partial(start, timeout=max(_POLL, until - now), memory_limit_mb=_memory_of_others()), inf
-            searches += [beside(search=way) for way, _ in others]
+        if best is None and time.process_time() > began + patience and (way := next(helpers, None)):
+            searches.append(start(timeout=max(_POLL, until - now), search=way, memory_limit_mb=_memory_of_others()))
+            patience *= 2
         if (better := _best(problem, searches)) is not None and (best is None or better.cost != best.cost):
             best, first = better, min(first, now)
             least = improve * (_WEIGHED if problem.has_preferences else _LEAST)
