@@ -8,8 +8,8 @@ from functools import cached_property
 from typing import Any
 
 from pnm.core.machine.guards import Due, Guard, Rule
-from pnm.core.machine.plan_graph import Moment, Ordering, PlanEvent, Step, necessary
-from pnm.core.machine.step_block import BlockTemplate, Inner, Terms
+from pnm.core.machine.plan_graph import Flow, Moment, Ordering, PlanEvent, Step, necessary
+from pnm.core.machine.step_block import BlockTemplate, Terms
 from pnm.core.net.block_net import BlockNet, Placed
 from pnm.core.net.net import Weights
 
@@ -51,9 +51,10 @@ class PlacedStep(Placed):
 class PlacedRegion:
     """The places between the steps of a flow, and those between what holds it and its first and last steps."""
 
-    def __init__(self, inner: Inner, owner: int | None, place: int) -> None:
-        self.inner, self.owner, self.place = inner, owner, place
-        self.orderings = necessary(inner.flow)
+    def __init__(self, flow: Flow, holder: Step | None, what: str, place: int) -> None:
+        self.flow, self.holder, self.what, self.place = flow, holder, what, place
+        self.orderings = necessary(flow)
+        self.owner = None if holder is None else holder.index
         self.borders: list[PlanEvent | None] = []
         """The meanings of the places after those of the orderings; None for the place of a flow without steps."""
 
@@ -80,11 +81,12 @@ class PlacedRegion:
     @cached_property
     def steps(self) -> Mapping[int, Step]:
         """Its steps by their numbers."""
-        return {step.index: step for step in self.inner.flow.steps}
+        return {step.index: step for step in self.flow.steps}
 
     def place_name(self, number: int) -> str:
         """Return the name of one of its places."""
-        orderings, begin, end = self.orderings, self.inner.begin, self.inner.end
+        orderings, around = self.orderings, f"{self.holder} {self.what}"
+        begin, end = ("begin", "finish") if self.holder is None else (f"{around} begins", f"{around} ends")
         if number < len(orderings):
             before, after = orderings[number].before, orderings[number].after
             return f"{before.moment.value} {self.steps[before.call]} < {after.moment.value} {self.steps[after.call]} ({number})"
@@ -125,6 +127,14 @@ class MachineBlocks(BlockNet[PlacedStep]):
             counts = isinstance(guard, Due) and guard.since
             inputs = block.arcs(block.template.inputs[number]) if counts else ()
             found.append((guard, {self.place_name(place): weight for place, weight in inputs}))
+        return found
+
+    @property
+    def held(self) -> Mapping[int | None, list[PlacedRegion]]:
+        """The regions of each step that holds others, and of the frame, in the order of their ports."""
+        found: dict[int | None, list[PlacedRegion]] = {}
+        for region in self.regions:
+            found.setdefault(region.owner, []).append(region)
         return found
 
     # --- roles of places --------------------------------------------------------------------------

@@ -120,8 +120,18 @@ class CallTerms(Terms[ActionCall]):
         return any(may_ask(data) for part in asked for data in data_in(part))
 
 
+class RecoveryKey(NamedTuple):
+    """All traits of a recovery that the template of its call depends on."""
+
+    causes: frozenset[Cause]
+    then: Then
+    times: int
+    when: Condition
+    is_direct: bool
+
+
 class CallKey(NamedTuple):
-    """All traits that the template of a call without recoveries depends on; the proof looks for each of them in the net."""
+    """All traits that the template of a call depends on; the proof looks for each of them in the net."""
 
     connected: frozenset[Port]
     repeated: bool
@@ -137,6 +147,7 @@ class CallKey(NamedTuple):
     accept: float
     cancel: float
     when_lost: WhenLost
+    recoveries: tuple[RecoveryKey, ...]
 
 
 @dataclass
@@ -169,10 +180,8 @@ class CallBlock(Block[ActionCall]):
 
     @property
     def key(self) -> object:
-        """The key of the block's shape; recoveries of its own make it one of its own kind."""
+        """The key of the block's shape."""
         step, terms, binding = self.step, self.terms, self.terms.binding
-        if step.recoveries:
-            return None
         return CallKey(
             self.connected,
             self.context.repeated,
@@ -188,6 +197,7 @@ class CallBlock(Block[ActionCall]):
             binding.accept,
             binding.cancel,
             binding.when_lost,
+            tuple([RecoveryKey(one.causes, one.then, one.times, one.when, is_direct(one)) for one in step.recoveries]),
         )
 
     def add(self, rule: Rule | OwnRule, inputs: dict[str, int] | Iterable[str], outputs: Iterable[str], *, title: str = "") -> None:
@@ -482,7 +492,7 @@ def _chained(block: Block[ActionCall], recovery: Recovery, number: int) -> None:
     # Uses of a restart are not given back when the plan begins anew, or it could do so for ever.
     restarts = recovery.then is Then.RESTART_PLAN
     block.budget(f"uses left {number}", f"uses spent {number}", recovery.times, refilled=not restarts)
-    chain = block.region(recovery.chain, f"recovery {number}", repeated=recovery.times > 1)
+    chain = block.draft.region(number, f"recovery {number}")
     block.chains[number] = chain
     block.add(Rule("chain_done"), chain.last, [recovered], title=f"chain_done {number}")
     abandon(block, f"recovered {number}")  # the run may have begun to end while the chain was carried out

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections import Counter, deque
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any, Final
 
 from pnm.core.machine.bindings import Bindings, is_open
@@ -16,8 +17,8 @@ from pnm.core.machine.call_block import CallBlock
 from pnm.core.machine.failure_causes import Cause
 from pnm.core.machine.guards import Always, ConditionFalse, ConditionTrue, Due, Ending, Failing, Rule
 from pnm.core.machine.machine import OnFailure, PetriNetMachine
-from pnm.core.machine.plan_graph import ActionCall, Moment, PlanEvent, PlanGraph, Step
-from pnm.core.machine.step_block import PORTS, Block, BlockTemplate, Context, Draft, Inner, Terms, block_without_call
+from pnm.core.machine.plan_graph import ActionCall, Held, Moment, PlanEvent, PlanGraph, Step
+from pnm.core.machine.step_block import PORTS, Block, BlockTemplate, Context, Draft, Terms, block_without_call
 from pnm.core.net.block_net import Remembered
 from pnm.core.net.no_collection import no_collection
 from pnm.core.resources import check_capacity
@@ -72,11 +73,18 @@ class Builder:
 
     def place(self, template: BlockTemplate, terms: Terms[Any] | None = None, ports: Sequence[tuple[int, ...]] = ()) -> PlacedStep:
         """Place the block of a step with these terms, or without any a part of the frame."""
-        step = None if terms is None else terms.step
+        context, step = (self.context, None) if terms is None else (terms.context, terms.step)
         blocks, place, regions = self.blocks, self.blocks.count_places, list[PlacedRegion]()
         free = place + len(template.places)
+        if template.inner:
+            held = (Held(context.plan.flow, "always"),) if step is None else step.held
         for inner in template.inner:
-            regions.append(self._region(inner, None if step is None else step.index, free))
+            flow, _, is_repeated = held[inner.number]
+            regions.append(PlacedRegion(flow, step, inner.what, free))
+            self._connect(regions[-1])
+            if flow.steps:
+                around = replace(context, repeated=is_repeated or context.repeated)
+                self._waiting.extend((one, around) for one in flow.steps)
             free += regions[-1].count
             ports = (*ports, *map(regions[-1].bordering, Moment))
         block = PlacedStep(template, step, place, blocks.count_transitions, tuple(ports), terms)
@@ -86,16 +94,16 @@ class Builder:
         blocks.regions += regions
         return block
 
-    def _region(self, inner: Inner, owner: int | None, place: int) -> PlacedRegion:
-        """Make the places between the steps of a flow, and those between its owner and its first and last steps."""
-        region, into, out_of = PlacedRegion(inner, owner, place), self._into, self._out_of
+    def _connect(self, region: PlacedRegion) -> None:
+        """Note the places between the steps of a region, and make those between its owner and its first and last steps."""
+        flow, into, out_of = region.flow, self._into, self._out_of
         # A place for each ordering that does not follow from others: each is marked once and taken once, so no place holds two tokens.
-        for number, ordering in enumerate(region.orderings, place):
+        for number, ordering in enumerate(region.orderings, region.place):
             out_of.setdefault(ordering.before, []).append(number)
             into.setdefault(ordering.after, []).append(number)
             if ordering.delay > 0:
                 self._delayed.setdefault(ordering.after.call, []).append((number, ordering.delay))
-        for step in inner.flow.steps:
+        for step in flow.steps:
             starts, ends = PlanEvent(step.index, Moment.START), PlanEvent(step.index, Moment.END)
             # Only steps that wait for no other are marked by the owner; the others get their tokens along the orderings.
             if starts not in into:
@@ -104,10 +112,8 @@ class Builder:
             if ends not in out_of:
                 out_of[ends] = [region.border(ends)]
         # An empty region still needs a place between entering and leaving it, so that the owner has something to take.
-        if not inner.flow.steps:
+        if not flow.steps:
             region.border(None)
-        self._waiting.extend((step, inner.context) for step in inner.flow.steps)
-        return region
 
 
 @no_collection()
@@ -149,7 +155,7 @@ def generate(
         # calls may turn out to need different resources under an open name: the net must not be stricter than what runs share
         initial[place] = count if is_open(name) else shared.get(name, 1)
         check_capacity(name, initial[place])
-    whole = beginning.region(plan.flow, "begin", "finish", builder.context)
+    whole = beginning.region()
     beginning.transition("begin", Rule("begin"), ["start"], whole.first)
     *_, last = builder.place(beginning.template()).ports
     builder.add_steps()

@@ -11,7 +11,7 @@ still holds, the loop has failed.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from enum import StrEnum
 from functools import cached_property
 from types import MappingProxyType
@@ -21,7 +21,7 @@ from pnm.core.machine import guards
 from pnm.core.machine.bindings import Bindings
 from pnm.core.machine.failure_causes import Cause
 from pnm.core.machine.guards import Guard, Rule, check_rule
-from pnm.core.machine.plan_graph import Choice, Conditional, Flow, Junction, Loop, PlanGraph, Step, WaitUntil
+from pnm.core.machine.plan_graph import Choice, Conditional, Junction, Loop, PlanGraph, Step, WaitUntil
 from pnm.core.machine.requests import CallOutcome, TransitionAction
 from pnm.core.net.block_net import Template
 from pnm.core.net.net import NetBuilder, Weights
@@ -118,14 +118,12 @@ class BlockTemplate(Template):
 
 
 class Inner(NamedTuple):
-    """Steps that a block holds, and its ports around them."""
+    """The ports of a block around steps that it holds."""
 
-    flow: Flow
-    begin: str
-    """The name of the marking of the first places."""
-    end: str
-    """The name of the taking of the last places."""
-    context: Context
+    number: int
+    """Of these steps among all that the step holds."""
+    what: str
+    """What they are to the step."""
     first: tuple[str, ...]
     last: tuple[str, ...]
 
@@ -150,10 +148,9 @@ class Draft:
         self.ports.append(self.net.place(name))
         return [name]
 
-    def region(self, flow: Flow, begin: str, end: str, context: Context) -> Inner:
+    def region(self, number: int = 0, what: str = "plan") -> Inner:
         """Add the ports around steps that the block holds; they are placed after it."""
-        ports = (tuple(self.port(f"{what} of {begin}")) for what in ("first", "last"))
-        self.inner.append(Inner(flow, begin, end, context, *ports))
+        self.inner.append(Inner(number, what, *(tuple(self.port(f"{end} of {what}")) for end in ("first", "last"))))
         return self.inner[-1]
 
     def transition(self, name: str, rule: Rule | OwnRule, inputs: Weights | Iterable[str], outputs: Iterable[str]) -> None:
@@ -282,11 +279,6 @@ class Block(Generic[AnyStep]):
         if refilled and self.context.repeated and not self.awaited:
             self.add(Rule("refill"), ["done", spent], ["done", left], title=f"refill {left}")
 
-    def region(self, flow: Flow, what: str, *, repeated: bool) -> Inner:
-        """Make the ports around steps that this one holds."""
-        context = replace(self.context, repeated=repeated or self.context.repeated)
-        return self.draft.region(flow, f"{self.step} {what} begins", f"{self.step} {what} ends", context)
-
     def fire(self, rule: Rule | OwnRule, source: str, *targets: str, title: str = "") -> None:
         """Add a transition between places of this block."""
         self.add(rule, [source], targets, title=title)
@@ -307,7 +299,7 @@ class LoopBlock(Block[Loop]):
         """Add the block to the machine."""
         head, done, failed = (self.place(name) for name in ("head", "done", "failed"))
         self.draft.failures.append(failed)
-        body = self.region(self.step.body, "body", repeated=True)
+        body = self.draft.region(0, "body")
         self.enter("head")
         self.budget("left", "spent", self.step.limit)
         # First of the rules at the head: a run that is ending enters no further round, whatever the condition.
@@ -334,12 +326,10 @@ class ChoiceBlock(Block[Choice]):
         self.enter("head")
         self.fire(Rule("skip", guards.Ending()), "head", "done")  # asked first: a run that is ending chooses no branch
         self.fire(check_rule(Cause.CONDITION_UNKNOWN, guards.ConditionUnknown(self.step.condition)), "head", "done", "failed")
-        branches = (
-            ("then", guards.ConditionTrue(self.step.condition), self.step.then),
-            ("else", guards.ConditionFalse(self.step.condition), self.step.otherwise),
-        )
-        for name, guard, flow in branches:
-            branch = self.region(flow, name, repeated=False)
+        condition = self.step.condition
+        branches: tuple[tuple[str, Guard], ...] = ("then", guards.ConditionTrue(condition)), ("else", guards.ConditionFalse(condition))
+        for number, (name, guard) in enumerate(branches):
+            branch = self.draft.region(number, name)
             self.add(Rule(name, guard), [head], branch.first)
             self.add(Rule(f"{name}_done"), branch.last, [done])
         self.leave()

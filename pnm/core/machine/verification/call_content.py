@@ -64,13 +64,17 @@ class Asked(CallTerms):
 
     @property
     def kind(self) -> Hashable:
-        """All of it but times, conditions and names: calls of one kind are asked the same, but for the guards of `WATCHES`."""
+        """All of it but times, names, steps that it holds, and conditions, apart from those of recoveries.
+
+        Calls of one kind are asked the same, but for the guards of `WATCHES`.
+        """
         step, binding = self.step, self.binding
         return (
             *(self.announces, self.awaited, self.is_timed, self.is_made, bool(self.resources)),
-            *(step.under_way, step.latest_start < inf, step.deadline < inf, step.action.invariant != TRUE, step.recoveries),
+            *(step.under_way, step.latest_start < inf, step.deadline < inf, step.action.invariant != TRUE),
             *(self.asks_at_its_end, self.retries, binding.accept, binding.cancel, binding.when_lost),
             *(self.context.repeated, self.context.starts_anew),
+            *((one.causes, one.then, one.times, one.when, bool(one.chain.steps)) for one in step.recoveries),
         )
 
     @cached_property

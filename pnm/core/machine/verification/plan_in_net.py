@@ -68,9 +68,9 @@ def check_places(plan: PlanGraph, blocks: MachineBlocks) -> None:
         Unsound: something of that is not so, or a delay or a release time is not waited for.
     """
     _check_order(plan, blocks)
-    resources, restarts = blocks.resources, blocks.restarts
+    resources, restarts, held = blocks.resources, blocks.restarts, blocks.held
     _check_marking(blocks)
-    steps = {step.index: step for region in blocks.regions for step in region.inner.flow.steps}
+    steps = {step.index: step for region in blocks.regions for step in region.flow.steps}
     connected = bytearray(blocks.count_places)  # for every place between blocks, 1 if one takes from it, 2 if one gives to it, 3 if both
     places = transitions = 0
     for block in blocks.placed:
@@ -96,6 +96,9 @@ def check_places(plan: PlanGraph, blocks: MachineBlocks) -> None:
                     is_good = port is Port.RESOURCES and place in resources
                 if not is_good:
                     raise Unsound(f"{blocks.place_name(place)} makes a forbidden connection")
+        around = [places for region in held.get(block.step.index, ()) for places in map(region.bordering, Moment)] if block.step else []
+        if block.step and [*block.ports[len(PORTS) :]] != around:
+            raise Unsound(f"the block of {block.title} is not around the steps that it holds")
         release = block.step.earliest if isinstance(block.step, ActionCall) else 0.0
         for transition, _ in block.template.consumers[~PORTS.index(Port.STARTS_AFTER)] if release or delays else ():
             number = block.transition + transition
@@ -128,7 +131,7 @@ _EVENTS: Final = {Port.STARTS_AFTER: Moment.START, Port.ENDS_AFTER: Moment.END, 
 def _check_order(plan: PlanGraph, blocks: MachineBlocks) -> None:
     """Check that the regions are the flows of the plan, and that every flow has an order of its events."""
     wanted = sorted((one for one in _flows(plan) if one[1].steps), key=_owner)
-    if wanted != sorted(((region.owner, region.inner.flow) for region in blocks.regions if region.inner.flow.steps), key=_owner):
+    if wanted != sorted(((region.owner, region.flow) for region in blocks.regions if region.flow.steps), key=_owner):
         raise Unsound("the steps of the plan are not those of the regions")
     for owner, flow in wanted:
         position = {event: number for number, event in enumerate(plan.order if owner is None else in_order(flow))}

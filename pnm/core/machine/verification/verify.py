@@ -153,13 +153,13 @@ class _Contents:
     """Looks at what the calls of a machine do. The mutable state are the kinds of calls that were looked at."""
 
     def __init__(self, machine: PetriNetMachine, blocks: MachineBlocks) -> None:
-        self._machine, self._resources, self._asked_of = machine, blocks.resources, AskedOf(machine)
+        self._machine, self._resources, self._held, self._asked_of = machine, blocks.resources, blocks.held, AskedOf(machine)
         self._looked_at: dict[object, _Watched] = {}
 
     def check(self, block: PlacedStep, call: ActionCall, guards: Sequence[tuple[Guard, Weights]]) -> object:
         """Check what is asked of a call: all of it for the first one of its kind, and its guards for the others; return its kind."""
         asked, template = self._asked_of(call), block.template
-        kind = template, asked.kind
+        kind = template, asked.kind, tuple([bool(region.flow.steps) for region in self._held.get(call.index, ())])
         watched = self._looked_at.get(kind)
         if watched is None:
             watched = _KEEPS_ITS_RULES.get(kind)
@@ -197,9 +197,9 @@ def _sample(machine: PetriNetMachine, blocks: MachineBlocks) -> _Sample:
     somewhere or not alike, and they stand in the same region in the same way. What is proved of a call that holds no other steps depends
     on nothing else of its machine than whether it can be entered again, and what becomes of it when another step fails.
     """
-    sample, seen = _Sample([], {}, set(), [], set()), set[object]()
+    sample, seen, looked_at = _Sample([], {}, set(), [], set()), set[object](), set[object]()
     surroundings = machine.on_failure, bool(blocks.restarts)
-    regions = {step.index: region for region in blocks.regions for step in region.inner.flow.steps}
+    regions = {step.index: region for region in blocks.regions for step in region.flow.steps}
     contents = _Contents(machine, blocks)
     for block in blocks.placed:
         if (step := block.step) is None:
@@ -217,13 +217,21 @@ def _sample(machine: PetriNetMachine, blocks: MachineBlocks) -> _Sample:
         seen.add(kind)
         if template.is_shared and region is not None:
             anywhere = (*like, surroundings, region.owner is None)
-            if (known := _FOUND_GOOD.get(anywhere)) is not None:
-                sample.proved.add(known)
+            if (known := _FOUND_GOOD.get(anywhere)) is not None or anywhere in looked_at:
+                sample.proved.update([known] if known else [])
                 sample.left_out.append(block)
-                sample.borders.update(*borders)
+                if region.owner is None:
+                    sample.borders.update(*borders)
                 continue
+            looked_at.add(anywhere)
             sample.kinds[step.index] = anywhere
         sample.chosen.append(block)
+    chosen = {block.step.index for block in sample.chosen if block.step}
+    for block in sample.chosen:  # and what holds them, which comes to the end of the same list
+        holder = block.step and regions[block.step.index].holder
+        if holder and holder.index not in chosen:
+            chosen.add(holder.index)
+            sample.chosen.append(next(one for one in blocks.placed if one.step is holder))
     return sample
 
 
@@ -232,7 +240,8 @@ def _anatomy_of(sample: _Sample, machine: PetriNetMachine, blocks: MachineBlocks
     chosen = sample.chosen
     own = sample.borders.union(number for block in chosen for number in range(block.place, block.place + len(block.template.places)))
     own.update(number for block in chosen if block.step is not None for places in block.ports for number in places)
-    own.update(region.place for region in blocks.regions if not region.inner.flow.steps)
+    own.update(region.place for region in blocks.regions if region.owner is None and not region.flow.steps)
+    own.update(blocks.restarts)  # the frame takes from them
     left_out = (block.place + number for block in sample.left_out for number in range(len(block.template.places)))
     others = [blocks.place_name(number) for number in left_out if number not in own]
     return Anatomy(_part(machine, chosen, own, others), _beside(blocks, own))

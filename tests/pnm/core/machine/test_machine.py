@@ -15,6 +15,7 @@ from pnm.core.execution.guards import OPENS
 from pnm.core.logic.conditions import TRUE
 from pnm.core.machine.bindings import Binding, Bindings
 from pnm.core.machine.call_block import CallTerms
+from pnm.core.machine.failure_causes import Cause
 from pnm.core.machine.generate import generate
 from pnm.core.machine.guards import (
     Accepts,
@@ -31,7 +32,19 @@ from pnm.core.machine.guards import (
     Withheld,
 )
 from pnm.core.machine.machine import OnFailure
-from pnm.core.machine.plan_graph import GroundAction, Moment, Ordering, PlanEvent, PlanGraph, PlanGraphError
+from pnm.core.machine.plan_graph import (
+    EMPTY,
+    ActionCall,
+    Flow,
+    GroundAction,
+    Moment,
+    Ordering,
+    PlanEvent,
+    PlanGraph,
+    PlanGraphError,
+    Recovery,
+    Then,
+)
 from pnm.core.machine.requests import OutcomeKind, TransitionAction
 from pnm.core.machine.verification.explore import explore_part
 from pnm.core.machine.verification.part import Part, PartStep, Unsound, shape_of
@@ -240,6 +253,33 @@ def test_blocks_that_were_changed_are_unsound_or_prove_as_the_machine_that_they_
         else:
             verify(written_out(machine))
     assert refused > 3
+
+
+def test_steps_that_a_call_holds_are_those_of_its_own_recoveries() -> None:
+    def call(number: int, *chains: Flow) -> ActionCall:
+        causes = Cause.ABORTED, Cause.REJECTED, Cause.LOST
+        recoveries = (Recovery(frozenset({cause}), Then.RETRY, chain) for cause, chain in zip(causes, chains, strict=False))
+        return ActionCall(number, GroundAction("act"), recoveries=tuple(recoveries))
+
+    calls = [call(first, EMPTY, Flow((call(first + 1),)), Flow((call(first + 2),))) for first in (0, 3, 6)]
+    for wrong in range(4):
+        machine = generate(PlanGraph(tuple(calls)))
+        blocks = blocks_of(machine)
+        own = {id(block.template) for block in blocks.placed if block.step in calls}
+        assert len(own) == 1, "alike calls share their template, whatever their recoveries hold"
+        number = next(number for number, block in enumerate(blocks.placed) if block.step is calls[2])
+        (*ports, a, b, c, d, e, f), regions = blocks.placed[number].ports, blocks.regions
+        mixed = [(a, b, c, d, e, f), (a, b, e, f, c, d), (a, b, e, f, c, d), (c, d, a, b, e, f)][wrong]
+        blocks.placed[number] = replace(blocks.placed[number], ports=(*ports, *mixed))
+        if wrong == 2:
+            regions[-1], regions[-2] = regions[-2], regions[-1]
+        if wrong == 3:  # also the order of the regions is changed, and that of those with steps is not
+            regions[-2], regions[-3] = regions[-3], regions[-2]
+        if wrong:
+            with pytest.raises(Unsound, match=["", "is not around", "not those of the regions", "the rule of its recoveries"][wrong]):
+                verify(machine)
+        else:
+            assert verify(machine) == verify(written_out(machine))
 
 
 # --- guards: every kind has all of its traits, and every part of the program knows it ---

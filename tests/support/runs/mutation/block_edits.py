@@ -50,7 +50,7 @@ def regions(blocks: MachineBlocks, random: Random) -> None:
         case 0:
             one.owner = random.choice([None, *(block.step.index for block in blocks.placed if block.step), 99])
         case 1:
-            one.inner, other.inner = other.inner, one.inner
+            one.flow, other.flow = other.flow, one.flow
         case _:
             one.borders = one.borders[1:]
 

@@ -4,21 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cache
 from typing import Final
 
 import pytest
 
 from pnm.core.machine import generate as generate_module
-from pnm.core.machine.call_block import CallBlock, CallKey
-from pnm.core.machine.plan_graph import flows
+from pnm.core.machine.call_block import CallBlock, CallKey, RecoveryKey
 from pnm.core.machine.verification.part import Unsound
 from pnm.core.machine.verification.verify import forget_proofs, verify
 from tests.support.runs.mutation.machines import as_text, random_machine, written_out
 
-RECOVERIES: Final = "recoveries"
-TRAITS: Final = (*CallKey._fields, RECOVERIES)
+TRAITS: Final = (*CallKey._fields, *RecoveryKey._fields)
 
 
 @dataclass
@@ -38,14 +36,10 @@ def forgetting(trait: str) -> Iterator[None]:
     whole = CallBlock.key.fget  # type: ignore[attr-defined]
 
     def key(block: CallBlock) -> object:
-        if trait != RECOVERIES:
-            found = whole(block)
-            return found._replace(**{trait: None}) if found and trait else found
-        if any(flow.steps for flow in flows(block.step)):  # no other plan has the steps that such a template holds
-            return whole(block)
-        step, block.step = block.step, replace(block.step, recoveries=())
-        found, block.step = whole(block), step
-        return found
+        found = whole(block)
+        if trait in RecoveryKey._fields:
+            return found._replace(recoveries=tuple(one._replace(**{trait: None}) for one in found.recoveries))
+        return found._replace(**{trait: None}) if trait else found
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(CallBlock, "key", property(key))
@@ -72,7 +66,10 @@ def run_forgotten(trait: str, numbers: range, enough: int | None = None) -> Forg
     report = ForgottenReport()
     with forgetting(trait):
         for number in numbers:
-            machine = random_machine(number, under_way=True)
+            try:
+                machine = random_machine(number, under_way=True)
+            except IndexError:  # the template is around steps that the call does not hold
+                continue
             is_wrong = as_text(machine) != alone(number)
             report.wrong += is_wrong
             for how, made in (("by blocks", machine), ("by name", written_out(machine))) if is_wrong or not trait else ():

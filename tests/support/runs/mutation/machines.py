@@ -40,13 +40,22 @@ def random_plan(random: Random, effects: tuple[Effect, ...] = ()) -> PlanGraph:
     """Draw a plan of a few steps; if there are effects, its calls have some of them, and short limits now and then."""
     numbers = iter(range(100))
     shape = random.choice(["flat", "flat", "loop", "choice", "recovery", "restart"])
+
+    def chain() -> Flow:
+        return Flow((_call(random, next(numbers), effects),)) if random.random() < 0.7 else EMPTY
+
     outer = [_call(random, next(numbers), effects)]
     if shape in ("recovery", "restart"):  # what stands inside a call is numbered after it
-        causes = frozenset({random.choice([Cause.ABORTED, Cause.REJECTED, Cause.TIMED_OUT, Cause.EFFECTS_MISSING])})
+        cause = random.choice([Cause.ABORTED, Cause.REJECTED, Cause.TIMED_OUT, Cause.EFFECTS_MISSING])
         then = Then.RESTART_PLAN if shape == "restart" else random.choice([Then.RETRY, Then.RETRY, Then.SKIP, Then.FAIL])
-        chain = Flow((_call(random, next(numbers), effects),)) if random.random() < 0.7 else EMPTY
-        recovery = Recovery(causes, then, chain, random.randint(1, 3))
-        outer = [replace(outer[0], recoveries=(recovery,))]
+        recoveries, is_asked = list[Recovery](), random.random() < 0.5
+        if not is_asked or random.random() < 0.5:
+            recoveries.append(Recovery(frozenset({cause}), then, chain(), random.randint(1, 3)))
+        if is_asked:
+            cause, then = random.choice([Cause.BEFORE, Cause.AFTER]), random.choice([Then.RETRY, Then.SKIP, Then.SKIP, Then.REPLAN])
+            recoveries.append(Recovery(frozenset({cause}), then, chain(), when=random.choice(CONDITIONS)))
+        plain = ActionCall(0, GroundAction("a0"))  # now and then, so that there are calls which differ in nothing but recoveries
+        outer = [replace(random.choice([outer[0], plain]), recoveries=tuple(recoveries))]
     outer += [_call(random, next(numbers), effects) for _ in range(random.randint(0, 2))]
     steps: list[Step] = [*outer]
     if shape == "loop":
