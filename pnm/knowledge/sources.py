@@ -12,9 +12,11 @@ from __future__ import annotations
 import asyncio
 import logging
 import os
+import sys
 from collections.abc import Awaitable, Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
+from functools import cache
 from pathlib import Path
 from time import time
 from typing import Any, Final, TypeAlias, TypeVar
@@ -267,12 +269,20 @@ def make_source(choice: SourceChoice, surroundings: Surroundings) -> Source:
 
 def _all() -> dict[str, _Registered]:
     """Return all registered sources by name; those of programs go before those of packages, and these before the built-in ones."""
-    from importlib.metadata import EntryPoint, entry_points  # here, because whoever only reads a journal looks for no source
+    from importlib.metadata import EntryPoint  # here and below, because whoever only reads a journal looks for no source
 
     own = {name: _Registered(EntryPoint(name, value, "").load, layer) for name, (value, layer) in _OWN.items()}
     original = {name: own[ours] for name, ours in _ORIGINAL.items()}
-    packages = {entry.name: _Registered(entry.load, layer) for group, layer in GROUPS.items() for entry in entry_points(group=group)}
-    return {**original, **own, **packages, **_registered}
+    return {**original, **own, **_of_packages(*sys.path), **_registered}
+
+
+@cache
+def _of_packages(*places: str) -> Mapping[str, _Registered]:
+    """Return the sources that the packages in these places register; all packages are read for that."""
+    from importlib.metadata import entry_points
+
+    found = entry_points()
+    return {entry.name: _Registered(entry.load, layer) for group, layer in GROUPS.items() for entry in found.select(group=group)}
 
 
 def memory(options: Mapping[str, object], surroundings: Surroundings) -> Source:
