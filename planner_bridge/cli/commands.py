@@ -20,20 +20,30 @@ from pnm.files.database.place import without_password
 from pnm.files.process import make_streams_safe
 from pnm.files.text import hide_arguments
 
-_ELSEWHERE: Final = {
-    "check": "robot",
-    "export": "convert",
-    "import": "convert",
-    "init": "robot",
-    "schema": "convert",
-    "run": "run",
-    "replay": "journal",
-    "history": "journal",
-    "journal": "journal",
-    "why": "why",
-    **dict.fromkeys(("serve", "status", "watch", "goal", "pause", "resume", "cancel", "facts"), "running_node"),
+ELSEWHERE: Final = {
+    "cancel": ("running_node", "Cancel a task, and wait for its robots."),
+    "check": ("robot", "Check servers and sensors in the ROS graph."),
+    "export": ("convert", "Write a domain, a problem and a plan as YAML."),
+    "facts": ("running_node", "Print or change the facts of the node."),
+    "goal": ("running_node", "Send a goal, and follow it to its end."),
+    "history": ("journal", "List the tasks of a journal."),
+    "import": ("convert", "Write a domain in YAML as PDDL."),
+    "init": ("robot", "Write first files for a running robot."),
+    "journal": ("journal", "Check, move, copy or prune a journal."),
+    "pause": ("running_node", "Pause a task: it starts nothing more."),
+    "replay": ("journal", "Execute the runs of a journal again."),
+    "resume": ("running_node", "Continue a paused task, or a run that has died."),
+    "run": ("run", "Plan, execute, and replan until the goal holds."),
+    "schema": ("convert", "Write the JSON Schema of YAML files, for editors."),
+    "serve": ("running_node", "Take goals over ROS 2 until interrupted."),
+    "status": ("running_node", "Show the tasks of the node."),
+    "watch": ("running_node", "Follow the tasks of the node until interrupted."),
+    "why": ("why", "Explain a plan, or why there is none, or a run."),
 }
-"""Commands in modules of their own, which are imported when they are looked up: their options come from what no other needs."""
+"""Commands in modules of their own, which are imported when they are looked up: their options come from what no other needs.
+
+Each has the first line of its help here as well: the list of all commands imports none of them.
+"""
 
 
 class Commands(click.Group):
@@ -41,14 +51,20 @@ class Commands(click.Group):
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         """Return the names of the commands."""
-        return sorted((*super().list_commands(ctx), *_ELSEWHERE))
+        return sorted((*super().list_commands(ctx), *ELSEWHERE))
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
         """Return a command by name."""
-        if cmd_name not in _ELSEWHERE:
+        if cmd_name not in ELSEWHERE:
             return super().get_command(ctx, cmd_name)
-        module = import_module(f"planner_bridge.cli.{_ELSEWHERE[cmd_name]}")
+        module = import_module(f"planner_bridge.cli.{ELSEWHERE[cmd_name][0]}")
         return next(command for command in vars(module).values() if isinstance(command, click.Command) and command.name == cmd_name)
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """Write what each command does."""
+        lines = {name: command.get_short_help_str(formatter.width) for name, command in self.commands.items()}
+        with formatter.section("Commands"):
+            formatter.write_dl(sorted((lines | {name: line for name, (_, line) in ELSEWHERE.items()}).items()))
 
 
 @click.group(cls=Commands, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110})

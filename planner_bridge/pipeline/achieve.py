@@ -29,7 +29,6 @@ from pnm.errors import InputError, check_kinds, suggestion
 from pnm.journal.kept import JournalChoice
 from pnm.knowledge.sensor_model import NO_SENSING
 from pnm.language.plan import HandWrittenPlan
-from pnm.ros.backend import Ros2Backend
 
 Actions: TypeAlias = Literal["simulated", "ros2"] | ActionClient
 """The performer of actions: simulated robots under virtual time, the action servers of ROS 2, or a client in Python."""
@@ -158,6 +157,8 @@ def backend_of(
         case "simulated":
             return simulated_backend(described, settings.bindings, faults)
         case "ros2":
+            from pnm.ros.backend import Ros2Backend  # here, because loading ROS 2 takes as long as a simulated run
+
             names = names_of_world(described if isinstance(described, Problem) else None, plans)
             return Ros2Backend(settings.bindings, settings.sensing, names, sim_time=settings.sim_time)
         case ActionClient() if not isinstance(actions, type):

@@ -135,11 +135,26 @@ def test_a_library_is_imported_in_its_room_alone(library: str) -> None:
     assert not [user for user in users if not user.startswith(ONLY[library])]
 
 
-@pytest.mark.parametrize("package", ["pnm", "planner_bridge", "planner_bridge.cli.commands"])
-def test_importing_brings_in_nothing_heavy(package: str) -> None:
-    code = f"import {package}, sys; print(*sorted({{name.split('.')[0] for name in sys.modules}}))"
+@pytest.mark.parametrize(
+    ("code", "light"),
+    [
+        ("import pnm, planner_bridge", True),
+        ("from planner_bridge.cli.commands import app; app(['--help'], standalone_mode=False)", True),
+        ("import planner_bridge.cli.run", False),
+    ],
+)
+def test_importing_brings_in_nothing_heavy(code: str, light: bool) -> None:
+    code = f"{code}; import sys; print(*sorted({{name.split('.')[0] for name in sys.modules}}))"
     loaded = set(subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=ROOT).stdout.split())
-    assert not loaded & {"rclpy", "unified_planning", "numpy", "scipy", "networkx", "starlette"}
+    assert not loaded & {
+        "rclpy",
+        "unified_planning",
+        "numpy",
+        "scipy",
+        "networkx",
+        "starlette",
+        *(["rich", "yaml", "kairos"] if light else []),
+    }
 
 
 def test_the_core_does_no_io() -> None:

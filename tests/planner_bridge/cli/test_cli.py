@@ -108,7 +108,8 @@ def test_no_description_is_cut_off() -> None:
     lines = shown("--help").partition("Commands:\n")[2].splitlines()
     assert [line.split()[0] for line in lines] == [*COMMANDS]
     for line in lines:
-        description = line.split(maxsplit=1)[1]
+        name, description = line.split(maxsplit=1)
+        assert description == COMMANDS[name].get_short_help_str(100), "the list has it without importing the command"
         assert description.endswith(".")
         assert not description.endswith("...")
         assert len(description) <= 50, line
