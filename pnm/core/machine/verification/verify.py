@@ -187,15 +187,16 @@ class _Sample(NamedTuple):
     left_out: list[PlacedStep]
     """The first block of each of them."""
     borders: set[int]
-    """Places between those and what holds them, which is looked at."""
+    """Places between those and the frame, which is looked at."""
 
 
 def _sample(machine: PetriNetMachine, blocks: MachineBlocks) -> _Sample:
     """Return the frame and one block of each kind that was not proved before.
 
     Blocks of one template are of one kind if what their own rules ask is alike, as far as the proof looks at it, their ports lead
-    somewhere or not alike, and they stand in the same region in the same way. What is proved of a call that holds no other steps depends
-    on nothing else of its machine than whether it can be entered again, and what becomes of it when another step fails.
+    somewhere or not alike, and they stand in the same region in the same way. What is proved of a call depends on nothing else of its
+    machine than whether it can be entered again, and what becomes of it when another step fails: whatever its recoveries hold comes to an
+    end, which is proved of that, and `check_places` looks at how it is connected.
     """
     sample, seen, looked_at = _Sample([], {}, set(), [], set()), set[object](), set[object]()
     surroundings = machine.on_failure, bool(blocks.restarts)
@@ -227,7 +228,7 @@ def _sample(machine: PetriNetMachine, blocks: MachineBlocks) -> _Sample:
             sample.kinds[step.index] = anywhere
         sample.chosen.append(block)
     chosen = {block.step.index for block in sample.chosen if block.step}
-    for block in sample.chosen:  # and what holds them, which comes to the end of the same list
+    for block in sample.chosen:  # the proof goes outwards, so what holds them is looked at as well: it comes to the end of the same list
         holder = block.step and regions[block.step.index].holder
         if holder and holder.index not in chosen:
             chosen.add(holder.index)

@@ -1,14 +1,16 @@
-"""Our way from a plan to a machine, changes of facts, shared resources, new plans after failures, first requests, and goals over ROS 2."""
+"""Plans by hand, commands, machines of plans, changes of facts, shared resources, new plans, first requests, and goals over ROS 2."""
 
 from __future__ import annotations
 
 import json
+import resource
 import subprocess
 import sys
 import time
 from functools import cache, partial
 from pathlib import Path
 from statistics import median
+from tempfile import TemporaryDirectory
 
 import kairos
 
@@ -16,9 +18,11 @@ from planner_bridge.model.plan import Plan, PlanningResult, PlanningStatus, Plan
 from planner_bridge.model.problem import Problem
 from planner_bridge.ordering.plan_to_graph import plan_graph
 from planner_bridge.pddl import parse_domain, parse_problem
+from planner_bridge.pipeline.carry_out import carry_out
 from planner_bridge.planning.kairos import parse_for_kairos
 from planner_bridge.planning.solve import reduced, solve
 from planner_bridge.planning.validate import why_invalid
+from planner_bridge.yaml.convert import imported
 from pnm.core.execution.machine_index import prepare
 from pnm.core.knowledge_base import KnowledgeBase
 from pnm.core.logic.conditions import Compare, evaluate
@@ -101,6 +105,39 @@ def plan_of_tiles_by_kairos(size: int) -> float:
     return each(lambda: kairos.Planner().solve(problem, anytime=False, timeout=120.0), 1000)
 
 
+# --- as users run it ----------------------------------------------------------------------------------
+
+
+def written(size: int, *, is_kept: bool = False) -> float:
+    """A file with a plan of so many calls: read, proved, carried out by simulated robots as a task, perhaps with a journal."""
+    with TemporaryDirectory() as folder:
+        file, journal = Path(folder) / "plan.yaml", Path(folder) / "journal" if is_kept else None
+        file.write_text("actions: {act: {}}\nplan:\n" + "  - act:\n" * size)
+        return each(lambda: carry_out(file, journal=journal), size)
+
+
+def imports(size: int) -> float:
+    """A domain of so many actions in YAML, written as PDDL."""
+    with TemporaryDirectory() as folder:
+        file = Path(folder) / "domain.yaml"
+        action = "{params: '?x', preconditions: '(ready ?x)', effects: '(done ?x)'}"
+        known = "predicates: ['(ready ?x)', '(done ?x)']\n"
+        file.write_text(f"{known}actions:\n" + "".join(f"  act{number}: {action}\n" for number in range(size)))
+        return each(lambda: imported(file), size)
+
+
+def command(*words: str) -> Measure:
+    """Return the measure of a command: the milliseconds of the processor that its process takes."""
+
+    def measure(_: int) -> float:
+        before = resource.getrusage(resource.RUSAGE_CHILDREN)
+        subprocess.run([sys.executable, *words], capture_output=True, check=True, cwd=ROOT)
+        after = resource.getrusage(resource.RUSAGE_CHILDREN)
+        return 1000 * (after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime)
+
+    return measure
+
+
 # --- whole ways, by the clock on the wall -------------------------------------------------------------
 
 
@@ -151,6 +188,12 @@ def goals(who: str, size: int) -> float:
 _FIRST = [sys.executable, "-m", "tests.support.benchmarks.executives.first_request"]
 
 MEASURES: dict[str, Measure] = {
+    "written": written,
+    "written-kept": partial(written, is_kept=True),
+    "import": imports,
+    "help": command("-m", "planner_bridge", "--help"),
+    "simulated": command("-m", "planner_bridge", "run", *map(str, _files("delivery", 1)), "-q"),
+    "python": command("-c", "pass"),
     "machine": machine,
     "change": lambda size: fact(fleet(size), CHARGE),
     "change-unread": lambda size: fact(fleet(size), OTHER),

@@ -69,7 +69,32 @@ def floor(label: str, measure: str) -> Subject:
 _NETS: Final = (100, 1_000, 10_000)
 _CALLS: Final = (1_000, 10_000)
 
+_WALL: Final = "By the clock on the wall: where others are busy, the ratios do not hold."
+
 ROWS: Final = (
+    Row(
+        "A call of a plan by hand, as users run it",
+        "A file with a plan is read, proved and carried out as a task, as by `pnm run --plan`; its robots are simulated and take no time. "
+        "Of that is the executor by itself, with no file, no task and no robots.",
+        "µs",
+        "calls",
+        (100, 1_000),
+        (
+            Subject("ours", "written"),
+            Subject("ours, with a journal", "written-kept"),
+            floor("of which the executor", "call-asynchronous"),
+            peer("UP-ESB, its executor", "esb-row", does_less=True),
+        ),
+        rounds=3,
+    ),
+    Row(
+        "A command, whole process",
+        "The delivery of a packet by simulated robots, to the end.",
+        "ms",
+        "delivery",
+        (1,),
+        (Subject("ours, `pnm run -q`", "simulated"), Subject("ours, `pnm --help`", "help"), floor("Python, which does nothing", "python")),
+    ),
     Row(
         "A firing, chain",
         "A net in which one transition follows the other. A run decides conditions, sends requests and keeps results besides.",
@@ -115,12 +140,14 @@ ROWS: Final = (
     ),
     Row(
         "A checked call, asynchronous, in a row",
-        "The same with an action that is done in the next round of the event loop; py_trees with leaves that run for a tick.",
+        "The same by the executor of each, with an action that is done in the next round of the event loop; py_trees with leaves that run "
+        "for a tick.",
         "µs",
         "calls",
         _CALLS,
         (
-            Subject("ours", "call-asynchronous"),
+            Subject("ours, `Executor`", "call-asynchronous"),
+            peer("UP-ESB", "esb-row"),
             peer("py_trees", "trees-running"),
             floor("asyncio tasks", "tasks-row"),
         ),
@@ -154,7 +181,7 @@ ROWS: Final = (
     Row(
         "A change of a fact",
         "A report comes while so many calls of a task are under way, from its goal on as in `pnm run`, each with a condition over all; one "
-        "of these reads it. By the clock on the wall, the rounds of the event loop included. No peer here checks such conditions.",
+        f"of these reads it. The rounds of the event loop are included. {_WALL} No peer here checks such conditions.",
         "µs",
         "conditions",
         (10, 100, 1_000),
@@ -214,7 +241,8 @@ ROWS: Final = (
     ),
     Row(
         "From a failure to the first request of the new plan",
-        "A robot inspects places, and its first inspections fail: nearly all of the plan is made anew. By the clock on the wall. "
+        "A robot inspects places, and its first inspections fail: nearly all of the plan is made anew. "
+        f"{_WALL} "
         "UP-ESB does not execute the plan that its callback returns.",
         "ms",
         "calls",
@@ -224,8 +252,7 @@ ROWS: Final = (
     ),
     Row(
         "From files to the first request, whole process",
-        "A tour of a mall (`problems/mall/p01.pddl`), by the clock on the wall. The others end with a plan, ours with a proved machine "
-        "that has begun.",
+        f"A tour of a mall (`problems/mall/p01.pddl`). The others end with a plan, ours with a proved machine that has begun. {_WALL}",
         "ms",
         "problem",
         (1,),
@@ -237,7 +264,7 @@ ROWS: Final = (
     ),
     Row(
         "A goal over ROS 2",
-        "A server of rclpy that succeeds at once, in a process of its own; so many goals in flight; by the clock on the wall.",
+        f"A server of rclpy that succeeds at once, in a process of its own; so many goals in flight. {_WALL}",
         "ms",
         "in flight",
         (1, 10, 100),
@@ -247,6 +274,11 @@ ROWS: Final = (
 )
 
 GATE: Final = (
+    ("written", 100),
+    ("written", 1_000),
+    ("import", 459),
+    ("help", 1),
+    ("simulated", 1),
     ("engine-chain", 10_000),
     ("engine-fork", 10_000),
     ("run-chain", 1_000),
