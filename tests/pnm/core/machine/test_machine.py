@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
 from dataclasses import replace
 from math import inf
 from random import Random
@@ -37,9 +36,6 @@ from pnm.core.machine.plan_graph import (
     ActionCall,
     Flow,
     GroundAction,
-    Moment,
-    Ordering,
-    PlanEvent,
     PlanGraph,
     PlanGraphError,
     Recovery,
@@ -55,7 +51,7 @@ from tests.support.runs.mutation.changes import with_input, with_rule, without_t
 from tests.support.runs.mutation.forgotten import alone, forgetting
 from tests.support.runs.mutation.gate import check_proof_of_mutants
 from tests.support.runs.mutation.machines import as_text, blocks_of, random_machine, written_out
-from tests.support.runs.plan_graphs import closure, plan, plan_of, plans
+from tests.support.runs.plan_graphs import plan, plan_of, plans
 
 SHAPES = {
     "empty": plan(0),
@@ -177,20 +173,6 @@ def test_orderings_that_contradict_each_other_are_refused() -> None:
 
 
 # --- blocks: the proof looks at every one, although they share templates ---
-
-
-@given(plans(most=3))
-def test_an_ordering_has_a_place_if_it_does_not_follow_from_others(graph: PlanGraph) -> None:
-    own = {(PlanEvent(call.index, Moment.START), PlanEvent(call.index, Moment.END)) for call in graph.calls}
-
-    def kept(orderings: Collection[Ordering]) -> set[tuple[PlanEvent, PlanEvent]]:
-        return closure({*own, *((one.before, one.after) for one in orderings)})
-
-    found = generate(graph).orderings.values()
-    assert kept(found) == kept(graph.orderings)
-    assert {one for one in graph.orderings if one.delay} <= {*found}
-    for one in found:
-        assert one.delay or kept({*found} - {one}) != kept(found)
 
 
 def test_a_machine_is_the_same_if_no_block_shares_its_template() -> None:
