@@ -245,8 +245,9 @@ class Preemption(TaskListener):
 
     def changed(self, task: UUID) -> None:
         """Decide again which tasks go on: this one may have ceased to, or have begun again."""
-        if task in self._tasks:
-            self.update([self._tasks[task]])
+        changed = self._tasks.get(task)
+        if changed and (changed.control.is_paused or changed.preempted_by or changed.preempts):
+            self.update([changed])
 
     def update(self, tasks: Iterable[Task]) -> None:
         """Pause and resume these tasks and their opponents, and theirs in turn, as they are preempted; those served first come first."""
