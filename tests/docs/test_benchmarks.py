@@ -11,7 +11,7 @@ import pytest
 from tests.support.benchmarks.executives import calls, gate, plans
 from tests.support.benchmarks.executives.measured import MeasuredRow, Taken, measure
 from tests.support.benchmarks.executives.page import BEGIN, END, PAGE, measured_part, put_in
-from tests.support.benchmarks.executives.table import GATE, ROWS, Row, Subject, peer
+from tests.support.benchmarks.executives.table import ROWS, Row, Subject, peer
 from tests.support.benchmarks.peers.__main__ import MEASURES
 
 OURS, RIVAL, FLOOR = Subject("ours", "call-inline"), peer("UP-ESB", "esb-row"), Subject("counters", "counters-chain", does_less=True)
@@ -32,7 +32,7 @@ def test_every_subject_has_a_measure_and_every_row_stands_on_the_page() -> None:
 
 
 def test_the_gate_names_what_is_too_slow_and_what_has_no_limit() -> None:
-    assert json.loads(gate.LIMITS.read_text()).keys() == {f"{name} {size}" for name, size in GATE}
+    assert json.loads(gate.LIMITS.read_text()).keys() == {f"{name} {size}" for name, size in gate.GATE}
     assert gate.exceeded({"engine 10": 5.0}, {"engine 10": 5.0 * gate.MARGIN}) == []
     assert gate.exceeded({"engine 10": 5.0}, {"engine 10": 16.0}) == ["engine 10 takes 16 turns of a loop, 3.2 times the 5 that are stored"]
     assert gate.exceeded({}, {"engine 10": 1.0}) == ["engine 10 has no limit: --gate --write stores one"]

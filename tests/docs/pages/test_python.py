@@ -18,7 +18,7 @@ EXAMPLES = [block.body for block, following in FOLLOWED if block.kind == "python
 PRINTED = [
     ["True the goal holds", "load(r1, parcel2, store) succeeded 1"],
     ["PAUSED", "cancelled"],
-    ["7 arrows", "digraph plan {", "130 places"],
+    ["7 arrows", "digraph plan {", "127 places"],
     ["r1 load(r1, parcel2, store) 0.0 [0.0]", "8 bars of what was done"],
     ["switches switch_on ('hall',)", "True 2"],
     ["plan of", "attempt 1"],

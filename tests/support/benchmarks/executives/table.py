@@ -272,33 +272,3 @@ ROWS: Final = (
         rounds=3,
     ),
 )
-
-GATE: Final = (
-    ("written", 100),
-    ("written", 1_000),
-    ("import", 459),
-    ("help", 1),
-    ("simulated", 1),
-    ("engine-chain", 10_000),
-    ("engine-fork", 10_000),
-    ("run-chain", 1_000),
-    ("call-inline", 300),
-    ("call-known", 300),
-    ("call-asynchronous", 300),
-    ("calls-parallel", 300),
-    ("machine", 100),
-    ("machine", 1_000),
-    ("change", 1_000),
-    ("change-unread", 1_000),
-    ("lamp", 1_000),
-    ("lamp-unread", 1_000),
-    ("report", 10_000),
-    ("ways", 200),
-    ("ways-first", 200),
-    ("resource", 100),
-    ("tasks-begin", 200),
-    ("tasks-next", 200),
-    ("plan-tiles", 4),
-    ("needless", 1_000),
-)
-"""Measures, with a size, that may not become much slower."""
