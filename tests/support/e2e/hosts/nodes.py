@@ -48,19 +48,9 @@ class FleetNode(Serving):
     """A node of the fleet."""
 
     @property
-    def holds(self) -> bool:
-        """Whether it accepts goals."""
-        return any(line.startswith("ready") for line in self.out)
-
-    @property
     def stands_by(self) -> bool:
         """Whether it waits for the journal."""
         return any(line.startswith("stands by") for line in self.out)
-
-    def settled(self) -> FleetNode:
-        """Wait until it serves or stands by."""
-        self.until(lambda: self.holds or self.stands_by)
-        return self
 
 
 class Fleet(HostsDeployment):
