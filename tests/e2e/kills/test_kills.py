@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from tests.support.tasks.kills.campaign import kills_at_every_commit, random_kills
 
-KILLS = 150
+KILLS = 60
 JOBS = 2
 
 

@@ -15,7 +15,7 @@ from typing import Final
 
 from tests.support.tasks.kills.disks import Disk
 from tests.support.tasks.kills.instants import AtCommit
-from tests.support.tasks.kills.lives import Verdict, judged, leave_journal
+from tests.support.tasks.kills.lives import Verdict, judged
 from tests.support.tasks.kills.scenario import Scenario, random_scenario
 
 _EVERY: Final = 7
@@ -88,13 +88,6 @@ def carried_out_on_a_disk(scenario: Scenario, folder: Path, disk: Disk) -> Verdi
     """Carry out a scenario whose journal is on a disk."""
     with _pool(1) as pool:
         return pool.submit(judged, scenario, folder, disk).result()
-
-
-def journal_left(number: int, folder: Path, commits: int) -> Path:
-    """Return the journal of a process that has died just after so many commits of the scenario of this number."""
-    with _pool(1) as pool:
-        pool.submit(leave_journal, random_scenario(number), folder, commits).result()
-    return folder / "journal"
 
 
 def _carried_out(scenario: Scenario) -> Verdict:

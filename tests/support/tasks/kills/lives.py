@@ -22,7 +22,7 @@ from pnm.journal.replay import Replay
 from pnm.journal.resume import replay_steps
 from pnm.tasks import Code
 from tests.support.tasks.kills.disks import Disk
-from tests.support.tasks.kills.instants import AtCommit, AtMessage, AtTime, DiskFull, Instant
+from tests.support.tasks.kills.instants import AtMessage, AtTime, DiskFull, Instant
 from tests.support.tasks.kills.node import live
 from tests.support.tasks.kills.scenario import Scenario
 from tests.support.tasks.kills.wire import Cancelled, Reattached, Sent, TaskTaken, Wire
@@ -112,15 +112,6 @@ def judged(scenario: Scenario, folder: Path, disk: Disk | None = None) -> Verdic
     if verdict.said and (verdict.wrong or "Traceback" in verdict.said):
         verdict.wrong.append(verdict.said)
     return verdict
-
-
-def leave_journal(scenario: Scenario, folder: Path, commits: int) -> None:
-    """Have a process die just after so many commits, and leave what it has written."""
-    loop = asyncio.new_event_loop()
-    robots = Robots(robots_of(scenario.problem, scenario.settings.bindings, scenario.faults, speed=SPEED))
-    status = _life(scenario, folder / "journal", folder / "log", loop, Attendance(robots, AtCommit(commits, before=False), None))
-    loop.close()
-    assert status == -signal.SIGKILL, status
 
 
 def _life(scenario: Scenario, journal: Path, log: Path, loop: asyncio.AbstractEventLoop, attendance: Attendance) -> int:
