@@ -40,7 +40,7 @@ def test_in_all_scripts_the_right_task_is_begun_paused_resumed_and_finished_and_
 
 
 def test_the_demo_tells_who_speaks_and_how_the_tasks_are_doing(mall):
-    demo = mall.start(Program(["-m", "planner_bridge", "demo", "mall"], mall.environment))
+    demo = mall.pnm(Program, "demo", "mall")
     assert demo.ended() == 0, str(demo)
     told = "\n".join(demo.out)
     assert 'ann    "Where is shop_0?"' in told

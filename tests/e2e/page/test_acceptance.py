@@ -59,7 +59,7 @@ def serve(deployment: ProblemDeployment, *more: str) -> Node:
     deployment.simulate().ready()
     journal = deployment.folder / "node.journal"
     options = ["--view=0", "--view-controls", "--ask-for-help", "--journal", str(journal), *more]
-    serving = deployment.start(Serving(["-m", "planner_bridge", "serve", *deployment.files, *options], deployment.environment)).ready()
+    serving = deployment.pnm(Serving, "serve", *deployment.files, *options).ready()
     return Node(announced(serving.err), journal)
 
 
@@ -116,7 +116,7 @@ def test_a_run_over_ros_2_is_seen_explained_and_steered_in_a_browser(page: Page,
 
 def a_plan_asks_a_person(page: Page, deployment: ProblemDeployment) -> None:
     """A plan's own question is answered on the page, and the plan goes on with the answer."""
-    client = deployment.start(ClientProgram(["-m", "tests.support.e2e.programs.client", "plan", "serves", "", ""], deployment.environment))
+    client = deployment.module(ClientProgram, "tests.support.e2e.programs.client", "plan", "serves", "", "")
     question = page.locator(".need.asks")
     expect(question).to_contain_text("a person is asked: drink: Tea or water?")
     question.get_by_label("answer").fill("tea")

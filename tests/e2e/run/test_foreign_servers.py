@@ -28,7 +28,7 @@ actions:
 def world(deploy_for_module):
     """The little domain, and the servers."""
     deployment = deploy_for_module("foreign", texts=(DOMAIN, PROBLEM), bindings=BINDINGS, quick=True)
-    servers = deployment.start(Program(["-m", "tests.support.e2e.programs.foreign_servers"], deployment.environment))
+    servers = deployment.module(Program, "tests.support.e2e.programs.foreign_servers")
     servers.until(lambda: servers.out)
     return deployment, servers
 
@@ -46,7 +46,7 @@ def test_the_first_files_for_them_pass_the_check_and_reach_their_goal(world, tmp
     deployment, _ = world
 
     def ends(status: int, *arguments: str) -> Program:
-        program = deployment.start(Program(["-m", "planner_bridge", *arguments], deployment.environment))
+        program = deployment.pnm(Program, *arguments)
         assert program.ended() == status, str(program)
         return program
 

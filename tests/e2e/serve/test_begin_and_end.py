@@ -44,7 +44,7 @@ def test_a_plan_of_pnm_run_is_in_touch_with_its_action_servers_too(deployment):
     knowing = deployment.workers(script="asking_servers").ready()
     file = str(deployment.folder / "all.yaml")
     options = ["--name", "knows", "--set", "value=7", "--actions", "ros2", "--json", "--knowledge", str(deployment.knowledge)]
-    run = deployment.start(RunProgram(["-m", "planner_bridge", "run", "--plan", file, *options], deployment.environment))
+    run = deployment.pnm(RunProgram, "run", "--plan", file, *options)
     status, told = run.result()
     assert (status, told["results"]) == (0, {"spam": 7, "eggs": 107, "time": 7})
     assert {"event": "found", "server": "remember", "value": [7, 107]} in knowing.objects()

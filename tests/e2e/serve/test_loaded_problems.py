@@ -52,12 +52,11 @@ def serving(deployment_of_module: PlanDeployment) -> Iterator[PlanDeployment]:
     files = [str(written(folder / name, text)) for name, text in (("domain.pddl", DOMAIN), ("problem.pddl", PROBLEM))]
     written(folder / "bindings.yaml", BINDINGS)
     sensing = str(written(folder / "sensing.yaml", SENSING))
-    servers = deployment.start(Program(["-m", "tests.support.e2e.programs.foreign_servers"], deployment.environment))
-    sensors = deployment.start(Program(["-m", "tests.support.ros.sensors", json.dumps(LAMP)], deployment.environment))
+    servers = deployment.module(Program, "tests.support.e2e.programs.foreign_servers")
+    sensors = deployment.module(Program, "tests.support.ros.sensors", json.dumps(LAMP))
     servers.until(lambda: servers.out)
     sensors.until(lambda: sensors.out)
-    arguments = ["-m", "planner_bridge", "serve", *files, "--sensing", sensing, "--problems", str(folder)]
-    deployment.start(Serving(arguments, deployment.environment)).ready()
+    deployment.pnm(Serving, "serve", *files, "--sensing", sensing, "--problems", str(folder)).ready()
     return deployment
 
 
@@ -144,8 +143,7 @@ def test_the_problem_is_saved_as_it_is_now_and_only_in_the_folder_of_the_node(se
 
 def test_tasks_of_a_loaded_problem_go_on_in_it_when_the_node_has_died(deployment: PlanDeployment, monkeypatch: pytest.MonkeyPatch) -> None:
     """In the domain of its files no robot puts down what it carries."""
-    command = ["-m", "planner_bridge", "simulate", DELIVERY, PARCELS, "--speed", "4", "--log", "/dev/stdout"]
-    robots = deployment.start(SimulationProgram(command, deployment.environment)).ready()
+    robots = deployment.pnm(SimulationProgram, "simulate", DELIVERY, PARCELS, "--speed", "4", "--log", "/dev/stdout").ready()
     whole, problem = (Path(file).read_text(encoding="utf-8") for file in (DELIVERY, PARCELS))
     domain = written(
         deployment.folder / "domain.pddl", whole.replace("(at start (takes_parcels ?place))", "(at start (at ?parcel ?place))")
@@ -153,12 +151,8 @@ def test_tasks_of_a_loaded_problem_go_on_in_it_when_the_node_has_died(deployment
     shutil.copy(Path(DELIVERY).with_name("bindings.yaml"), deployment.folder)
 
     def serve() -> Serving:
-        options = ["--journal", str(deployment.folder / "tasks.journal"), "--improve", "0"]
-        arguments = ["-m", "planner_bridge", "serve", str(domain), PARCELS, *options]
-        return deployment.start(Serving(arguments, deployment.environment)).ready()
-
-    def goal(text: str) -> Program:
-        return deployment.start(Program(["-m", "planner_bridge", "goal", text], deployment.environment))
+        journal = str(deployment.folder / "tasks.journal")
+        return deployment.pnm(Serving, "serve", str(domain), PARCELS, "--journal", journal, "--improve", "0").ready()
 
     def starts() -> Counter[str]:
         return Counter(event["action"] for event in robots.objects() if event["event"] == "start")
@@ -166,7 +160,7 @@ def test_tasks_of_a_loaded_problem_go_on_in_it_when_the_node_has_died(deployment
     first = serve()
     with asking(deployment, monkeypatch) as ask:
         assert loaded(ask, whole, problem)[0] == ""
-    client = goal("(at parcel1 hall)")
+    client = deployment.pnm(Program, "goal", "(at parcel1 hall)")
     robots.until(starts)
     first.process.kill()
     first.process.wait(LIMIT)

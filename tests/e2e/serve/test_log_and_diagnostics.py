@@ -32,10 +32,6 @@ SENSING = """sensors:
 """
 
 
-def program(deployment: PlanDeployment, *arguments: str) -> Program:
-    return deployment.start(Program(["-m", "planner_bridge", *arguments], deployment.environment))
-
-
 class Heard:
     """What the listener has heard so far."""
 
@@ -70,7 +66,7 @@ def test_the_levels_are_those_of_the_messages():
 
 
 def listening(deployment: PlanDeployment) -> Heard:
-    listener = deployment.start(ClientProgram(["-m", "tests.support.e2e.programs.listener"], deployment.environment))
+    listener = deployment.module(ClientProgram, "tests.support.e2e.programs.listener")
     listener.until(lambda: "ready" in listener.out)
     return Heard(listener)
 
@@ -84,19 +80,17 @@ def heard(deployment_of_module: PlanDeployment) -> Heard:
 @pytest.fixture(scope="module")
 def robots(deployment_of_module: PlanDeployment, heard: Heard) -> SimulationProgram:
     faults = written(deployment_of_module.folder / "faults.yaml", FAULTS)
-    command = ["-m", "planner_bridge", "simulate", DOMAIN, PROBLEM, "--speed", "2", "--faults", str(faults)]
-    return deployment_of_module.start(SimulationProgram(command, deployment_of_module.environment)).ready()
+    return deployment_of_module.pnm(SimulationProgram, "simulate", DOMAIN, PROBLEM, "--speed", "2", "--faults", str(faults)).ready()
 
 
 @pytest.fixture(scope="module")
 def node(deployment_of_module: PlanDeployment, robots: SimulationProgram) -> Serving:
     sensing = written(deployment_of_module.folder / "sensing.yaml", SENSING)
-    serving = Serving(["-m", "planner_bridge", "serve", DOMAIN, PROBLEM, "--sensing", str(sensing)], deployment_of_module.environment)
-    return deployment_of_module.start(serving).ready()
+    return deployment_of_module.pnm(Serving, "serve", DOMAIN, PROBLEM, "--sensing", str(sensing)).ready()
 
 
 def test_what_happens_is_on_rosout_with_its_severity(deployment_of_module, heard, node):
-    client = program(deployment_of_module, "goal", "(at r2 kitchen)")
+    client = deployment_of_module.pnm(Program, "goal", "(at r2 kitchen)")
     assert client.ended() == 0, str(client)
     heard.log("robots", INFO, "ready: ")
     heard.log("robots", WARN, "end move(r2, hall, kitchen): aborted")
@@ -110,7 +104,7 @@ def test_what_happens_is_on_rosout_with_its_severity(deployment_of_module, heard
 
 
 def test_what_fails_is_an_error(deployment_of_module, heard, node):
-    client = program(deployment_of_module, "goal", "(at r1 yard)")
+    client = deployment_of_module.pnm(Program, "goal", "(at r1 yard)")
     assert client.ended() == 1, str(client)
     heard.log("pnm", ERROR, "failed: move(r1, store, yard)")
     heard.log("pnm", WARN, "replanned: ")
@@ -129,7 +123,7 @@ def test_diagnostics_of_node_tasks_and_action_servers(deployment_of_module, hear
 
 
 def test_what_a_run_says_is_on_rosout(deployment_of_module, heard, robots):
-    run = program(deployment_of_module, "run", DOMAIN, PROBLEM, "--actions", "ros2")
+    run = deployment_of_module.pnm(Program, "run", DOMAIN, PROBLEM, "--actions", "ros2")
     run.ended()
     heard.log("pnm_run", INFO, " goal")
     heard.log("pnm_run", INFO, "sent: ")
@@ -146,7 +140,7 @@ def test_diagnostics_show_a_pair_of_nodes_that_has_become_a_single_one(deploymen
     heard, journal = listening(deployment), postgres.database()
 
     def serving() -> Serving:
-        return deployment.start(Serving(["-m", "planner_bridge", "serve", DOMAIN, PROBLEM, "--journal", journal], deployment.environment))
+        return deployment.pnm(Serving, "serve", DOMAIN, PROBLEM, "--journal", journal)
 
     serving().ready()
     heard.diagnosis("journal", Level.OK, "can be written")

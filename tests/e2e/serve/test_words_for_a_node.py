@@ -18,11 +18,9 @@ FAR = "(and (at r1 yard) (at r2 corridor))"
 @pytest.fixture(scope="module")
 def node(deployment_of_module: PlanDeployment) -> PlanDeployment:
     """The node, and slow robots for it."""
-    deployment = deployment_of_module
-    command = ["-m", "planner_bridge", "simulate", DOMAIN, PROBLEM, "--speed", "0.5", "--log", "/dev/stdout"]
-    deployment.start(SimulationProgram(command, deployment.environment)).ready()
-    deployment.start(Serving(["-m", "planner_bridge", "serve", DOMAIN, PROBLEM], deployment.environment)).ready()
-    return deployment
+    deployment_of_module.pnm(SimulationProgram, "simulate", DOMAIN, PROBLEM, "--speed", "0.5").ready()
+    deployment_of_module.pnm(Serving, "serve", DOMAIN, PROBLEM).ready()
+    return deployment_of_module
 
 
 @pytest.fixture
@@ -31,10 +29,6 @@ def served(node: PlanDeployment, monkeypatch: pytest.MonkeyPatch) -> PlanDeploym
     for name, value in node.environment.items():
         monkeypatch.setenv(name, value)
     return node
-
-
-def started(deployment: PlanDeployment, *arguments: str) -> Program:
-    return deployment.start(Program(["-m", "planner_bridge", *arguments], deployment.environment))
 
 
 def words(*arguments: str) -> tuple[int, str]:
@@ -51,7 +45,7 @@ def tasks() -> dict[str, str]:
 def going_on(deployment: PlanDeployment) -> tuple[Program, str]:
     """Send a goal and wait until something of it is under way; return its client, and the beginning of its id."""
     before = tasks().keys()
-    client = started(deployment, "goal", FAR)
+    client = deployment.pnm(Program, "goal", FAR)
     client.until(lambda: any(" sent " in line for line in client.out))
     (task,) = tasks().keys() - before
     return client, task
@@ -101,7 +95,7 @@ def test_a_task_is_paused_resumed_and_cancelled_by_the_beginning_of_its_id(serve
 
 
 def test_an_interrupted_goal_is_cancelled_and_watched_by_another(served: PlanDeployment) -> None:
-    watching = started(served, "watch")
+    watching = served.pnm(Program, "watch")
     watching.until(lambda: watching.out)
     client, task = going_on(served)
     client.process.send_signal(signal.SIGINT)

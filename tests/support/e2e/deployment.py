@@ -40,18 +40,6 @@ class Finished:
     events: list[dict[str, Any]]
     truth: KnowledgeBase
 
-    def attempts(self, action: str) -> list[int]:
-        """Return how often each call of the action was tried, of those that were."""
-        return [call["attempts"] for call in self.result["calls"] if call["action"] == action and call["attempts"]]
-
-    def causes(self, action: str) -> set[str]:
-        """Return why calls of the action failed."""
-        return {failure["cause"] for failure in self.result["failures"] if failure["call"].startswith(f"{action}(")}
-
-    def outcomes(self, action: str) -> list[str]:
-        """Return how the requests of the action truly ended, in order."""
-        return [event["outcome"] for event in self.events if event["event"] == "end" and event["action"].startswith(f"{action}(")]
-
 
 class SimulationProgram(Program):
     """`pnm simulate`, which logs what truly happens to its standard output."""
@@ -113,6 +101,14 @@ class RosDomain:
         self._programs.append(program)
         return program
 
+    def pnm(self, kind: type[P], *arguments: str, within: Sequence[str] = ()) -> P:
+        """Start `pnm` with these arguments, by the command it is within if any."""
+        return self.module(kind, "planner_bridge", *arguments, within=within)
+
+    def module(self, kind: type[P], name: str, *arguments: str, within: Sequence[str] = ()) -> P:
+        """Start a module of Python."""
+        return self.start(kind(["-m", name, *arguments], self.environment, within))
+
     def close(self) -> None:
         """End all processes."""
         for program in self._programs:
@@ -163,12 +159,12 @@ class ProblemDeployment(RosDomain):
     def simulate(self) -> SimulationProgram:
         """Start the robots."""
         options = [*self._bindings, *self._faults, *self._speed, "--log", "/dev/stdout"]
-        return self.start(SimulationProgram(["-m", "planner_bridge", "simulate", *self.files, *options], self.environment))
+        return self.pnm(SimulationProgram, "simulate", *self.files, *options)
 
     def run(self, *options: str, within: Sequence[str] = ()) -> RunProgram:
         """Start a run, by the command it is within if any."""
         options = ("--actions", "ros2", "--json", *self._bindings, *options)
-        return self.start(RunProgram(["-m", "planner_bridge", "run", *self.files, *options], self.environment, within))
+        return self.pnm(RunProgram, "run", *self.files, *options, within=within)
 
     def execute(self, *options: str) -> Finished:
         """Start the robots and a run, and wait for its end; the verdict must be true."""

@@ -85,17 +85,17 @@ class PlanDeployment(RosDomain):
     def serve(self, *options: str, world: str = "world.yaml") -> Serving:
         """Start to serve a world."""
         files = ["--world", str(self.folder / world), "--knowledge", str(self.knowledge)]
-        return self.start(Serving(["-m", "planner_bridge", "serve", *files, *options], self.environment))
+        return self.pnm(Serving, "serve", *files, *options)
 
     def workers(self, *servers: str, script: str = "plain_servers") -> Workers:
         """Start action servers."""
-        return self.start(Workers(["-m", f"tests.support.e2e.programs.{script}", *servers], self.environment))
+        return self.module(Workers, f"tests.support.e2e.programs.{script}", *servers)
 
     def client(self, plan: str, *parameters: Mapping[str, Any] | str, cancel_on: str = "") -> ClientProgram:
         """Start a client that sends a goal for each of the parameters."""
         texts = [one if isinstance(one, str) else json.dumps(one) for one in parameters or ("",)]
-        return self.start(ClientProgram(["-m", "tests.support.e2e.programs.client", "plan", plan, cancel_on, *texts], self.environment))
+        return self.module(ClientProgram, "tests.support.e2e.programs.client", "plan", plan, cancel_on, *texts)
 
     def cancel_all(self, server: str) -> None:
         """Have somebody cancel all goals of an action server."""
-        assert self.start(Program(["-m", "tests.support.e2e.programs.client", "cancel", server], self.environment)).ended() == 0
+        assert self.module(Program, "tests.support.e2e.programs.client", "cancel", server).ended() == 0

@@ -12,15 +12,15 @@ PAGE = (ROOT / "docs" / "guides" / "serving.md").read_text(encoding="utf-8")
 
 
 def serve(deployment: PlanDeployment, *arguments: str) -> Serving:
-    return deployment.start(Serving(["-m", "tests.support.e2e.programs.fake_serve", "serve", *arguments], deployment.environment))
+    return deployment.module(Serving, "tests.support.e2e.programs.fake_serve", "serve", *arguments)
 
 
 def goals(deployment: PlanDeployment, *texts: str) -> ClientProgram:
-    return deployment.start(ClientProgram(["-m", "tests.support.e2e.programs.client", "goals", *texts], deployment.environment))
+    return deployment.module(ClientProgram, "tests.support.e2e.programs.client", "goals", *texts)
 
 
 def transitions(deployment: PlanDeployment, *labels: str) -> list[bool]:
     """Ask for transitions; return which of them were made."""
-    client = deployment.start(ClientProgram(["-m", "tests.support.e2e.programs.client", "change", *labels], deployment.environment))
+    client = deployment.module(ClientProgram, "tests.support.e2e.programs.client", "change", *labels)
     assert client.ended() == 0, str(client)
     return [one["success"] for one in client.objects() if one["event"] == "changed"]

@@ -39,7 +39,7 @@ class Mall(RosDomain):
         """Run scripts one after the other; return the verdict."""
         numbers = list(numbers)
         robot = self.start(Workers([str(DOMAIN / "robot.py"), SPEED], self.environment))
-        node = self.start(Serving(["-m", "planner_bridge", "serve", *self._files()], self.environment))
+        node = self.pnm(Serving, "serve", *self._files())
         robot.until(lambda: any(line.startswith("ready") for line in robot.out))
         node.ready()
         scripts = str(written(self.folder / "scripts.json", file_of(numbers)))
