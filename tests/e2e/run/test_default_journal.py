@@ -9,7 +9,6 @@ import pytest
 
 from planner_bridge.node.node_journal import journal_of
 from tests.support.e2e.command_line import pnm
-from tests.support.e2e.deployment import SimulationProgram
 from tests.support.e2e.plan_deployment import PlanDeployment, Serving
 from tests.support.e2e.task_node import DOMAIN, PROBLEM, goals
 from tests.support.files import written
@@ -17,7 +16,7 @@ from tests.support.processes import LIMIT
 
 
 def serve(deployment: PlanDeployment, *options: str) -> Serving:
-    return deployment.start(Serving(["-m", "planner_bridge", "serve", DOMAIN, PROBLEM, "--improve", "0", *options], deployment.environment))
+    return deployment.pnm(Serving, "serve", DOMAIN, PROBLEM, "--improve", "0", *options)
 
 
 def journal_line(serving: Serving) -> str:
@@ -26,23 +25,29 @@ def journal_line(serving: Serving) -> str:
     return line.removeprefix("journal: ")
 
 
-def test_a_killed_node_goes_on_without_any_option_and_history_finds_its_journal(
-    deployment: PlanDeployment, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    command = ["-m", "planner_bridge", "simulate", DOMAIN, PROBLEM, "--speed", "4", "--log", "/dev/stdout"]
-    robots = deployment.start(SimulationProgram(command, deployment.environment)).ready()
-    serving = serve(deployment)
-    place = journal_line(serving)
-    domain_id = deployment.environment["ROS_DOMAIN_ID"]
-    assert place.startswith(f"{deployment.folder}/state/pnm/journals/pnm-{domain_id}-")
-    goals(deployment, "(and (at parcel1 hall) (at parcel2 kitchen))")
-    robots.happens("start", "move")
+def kill(serving: Serving) -> None:
     serving.process.kill()
     serving.process.wait(LIMIT)
-    serving = serve(deployment)
-    assert journal_line(serving) == f"{place}; 1 task of another process goes on"
-    serving.until(lambda: any("reached the goal holds" in line for line in serving.out))
-    serving.stop()
+
+
+def test_a_killed_node_goes_on_without_any_option_and_with_other_files_another_begins_that_says_so(
+    deployment: PlanDeployment, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    first = serve(deployment)
+    place = journal_line(first)
+    domain_id = deployment.environment["ROS_DOMAIN_ID"]
+    assert place.startswith(f"{deployment.folder}/state/pnm/journals/pnm-{domain_id}-")
+    goals(deployment, "(at parcel1 hall)")
+    first.until(lambda: any("queued" in line for line in first.out))
+    kill(first)
+    problem = written(deployment.folder / "problem.pddl", Path(PROBLEM).read_text(encoding="utf-8") + "\n")
+    other = deployment.pnm(Serving, "serve", DOMAIN, str(problem))
+    assert journal_line(other) != place
+    assert any("not finished with the files that this node had before: (at parcel1 hall)" in line for line in other.err), str(other)
+    other.stop()
+    second = serve(deployment)
+    assert journal_line(second) == f"{place}; 1 task of another process goes on"
+    second.stop()
     monkeypatch.setenv("XDG_STATE_HOME", deployment.environment["XDG_STATE_HOME"])
     for name in ("history", "replay"):
         found = pnm(name, "--json")
@@ -60,18 +65,6 @@ def test_nodes_of_other_names_and_files_have_other_journals() -> None:
         "r1.pnm-7-000000000000.journal",
         "pnm-7-111111111111.journal",
     ]
-
-
-def test_what_was_begun_with_other_files_is_not_forgotten_in_silence(deployment: PlanDeployment) -> None:
-    first = serve(deployment).ready()
-    goals(deployment, "(at parcel1 hall)")
-    first.until(lambda: any("queued" in line for line in first.out))
-    first.process.kill()
-    first.process.wait(LIMIT)
-    problem = written(deployment.folder / "problem.pddl", Path(PROBLEM).read_text(encoding="utf-8") + "\n")
-    second = deployment.start(Serving(["-m", "planner_bridge", "serve", DOMAIN, str(problem)], deployment.environment))
-    assert journal_line(second) != journal_line(first)
-    assert any("not finished with the files that this node had before: (at parcel1 hall)" in line for line in second.err), str(second)
 
 
 def test_none_keeps_nothing_and_says_so(deployment: PlanDeployment) -> None:

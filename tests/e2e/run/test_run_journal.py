@@ -6,6 +6,7 @@ import json
 import signal
 from collections import Counter
 from collections.abc import Callable
+from contextlib import closing
 from pathlib import Path
 
 from pnm.journal.store import JournalFile
@@ -24,11 +25,10 @@ def test_a_run_that_is_killed_goes_on_with_resume(deploy: Callable[..., ProblemD
     robots = deployment.simulate().ready()
     journal = deployment.folder / "run.journal"
     run = deployment.run("--journal", str(journal), "--improve", "0")
-    for _ in range(2):
-        robots.happens("start", "move", 1 + len([one for one in robots.objects() if one["event"] == "start" and "move" in one["action"]]))
-        run.process.kill()
-        run.process.wait(LIMIT)
-        run = deployment.start(type(run)(["-m", "planner_bridge", "resume", str(journal)], deployment.environment))
+    robots.happens("start", "move")
+    run.process.kill()
+    run.process.wait(LIMIT)
+    run = deployment.pnm(type(run), "resume", str(journal))
     finished = deployment.finish(run, robots)
     assert finished.status == 0
     starts = Counter(event["action"] for event in finished.events if event["event"] == "start")
@@ -39,13 +39,16 @@ def test_a_run_that_is_killed_goes_on_with_resume(deploy: Callable[..., ProblemD
     assert "goal_reached" in again.stdout
 
 
+def dies(commits: int, *arguments: str) -> None:
+    """Have `pnm run` be killed after so many commits of its journal."""
+    with closing(Program(["-m", "tests.support.e2e.programs.dying_run", str(commits), *arguments], {})) as dying:
+        assert dying.process.wait(LIMIT) == -signal.SIGKILL
+
+
 def test_simulated_robots_die_with_a_run_and_begin_anew_where_they_were_known_to_be(root: Path, tmp_path: Path) -> None:
     files = [str(root / "domains/delivery/domain.pddl"), str(root / "problems/delivery/p01.pddl")]
     journal = tmp_path / "j"
-    program = ["-m", "tests.support.e2e.programs.dying_run", "11", *files, "--journal", str(journal), "--improve", "0", "--json"]
-    dying = Program(program, {})
-    assert dying.process.wait(LIMIT) == -signal.SIGKILL
-    dying.close()
+    dies(11, *files, "--journal", str(journal), "--improve", "0", "--json")
     done = pnm("resume", str(journal))
     assert result(done)["goal_reached"] is True
     outcomes = Counter(call["outcome"] for call in result(done)["calls"])  # type: ignore[attr-defined]
@@ -60,9 +63,7 @@ def test_a_journal_of_other_files_or_of_a_node_is_refused_with_what_to_do(root: 
         str(root / name) for name in ("domains/delivery/domain.pddl", *(f"problems/delivery/p0{n}.pddl" for n in "12"))
     )
     journal = tmp_path / "j"
-    dying = Program(["-m", "tests.support.e2e.programs.dying_run", "8", domain, first, "--journal", str(journal), "--improve", "0"], {})
-    dying.process.wait(LIMIT)
-    dying.close()
+    dies(8, domain, first, "--journal", str(journal), "--improve", "0")
     other = pnm("run", domain, second, "--journal", str(journal))
     assert other.returncode == 2
     assert "tasks of another domain, problem or world are not finished: the goal of the problem" in other.stderr
@@ -78,11 +79,7 @@ def test_a_journal_of_other_files_or_of_a_node_is_refused_with_what_to_do(root: 
 
 def test_a_plan_by_hand_is_kept_as_well_and_its_values_belong_to_it(root: Path, tmp_path: Path) -> None:
     plan = str(root / "domains/delivery/plans/errands.yaml")
-    given = ["--plan", plan, "--name", "round_trip", "--set", "robot=r1", "--journal", str(tmp_path / "j"), "--json"]
-    program = ["-m", "tests.support.e2e.programs.dying_run", "5", *given]
-    dying = Program(program, {})
-    assert dying.process.wait(LIMIT) == -signal.SIGKILL
-    dying.close()
+    dies(5, "--plan", plan, "--name", "round_trip", "--set", "robot=r1", "--journal", str(tmp_path / "j"), "--json")
     done = pnm("resume", str(tmp_path / "j"))
     assert result(done)["goal_reached"] is True
     assert [task["code"] for task in history(tmp_path / "j")] == ["goal_reached"]

@@ -1,4 +1,4 @@
-"""A small disk, which can be filled and freed, and made read-only: a real one where that is allowed, and limits of processes elsewhere."""
+"""A small disk, which can be filled and freed: a real one where that is allowed, and limits of processes elsewhere."""
 
 from __future__ import annotations
 
@@ -38,22 +38,6 @@ class Disk:
         else:
             with suppress(ProcessLookupError):
                 resource.prlimit(process, resource.RLIMIT_FSIZE, (resource.RLIM_INFINITY, resource.RLIM_INFINITY))
-
-    @contextmanager
-    def read_only(self) -> Iterator[None]:
-        """Have nobody write to it."""
-        self._allow(is_written=False)
-        try:
-            yield
-        finally:
-            self._allow(is_written=True)
-
-    def _allow(self, *, is_written: bool) -> None:
-        if self.is_real:
-            subprocess.run(["mount", "-o", f"remount,{'rw' if is_written else 'ro'}", str(self.folder)], check=True)
-        else:
-            for path in (self.folder, *self.folder.iterdir()):
-                path.chmod(0o700 if is_written else 0o500)
 
     @property
     def _ballast(self) -> Path:
