@@ -82,22 +82,6 @@ def test_when_a_host_is_lost_the_robots_on_the_other_one_do_its_work(survey):
     assert starts(drone) == ["fly(d1, base, north)"]
 
 
-def test_without_another_way_a_run_ends_with_the_reason_and_one_after_the_cut_reaches_the_goal(survey):
-    drone = survey.robot("drone").ready()
-    run = survey.run("(surveyed north)", kinds=["drone"])
-    drone.happens("start", "fly")
-    survey.lan.cut("drone")
-    status, result = run.result()
-    assert (status, result["goal_reached"]) == (1, False)
-    assert_lost(result["failures"][0])
-    drone.happens("end", "fly")
-    survey.lan.heal("drone")
-    again = survey.run("(surveyed north)", kinds=["drone"])
-    assert reached(again)["failures"] == []
-    assert starts(drone) == ["fly(d1, base, north)", "look_down(d1, north)"]
-    assert not overlaps(drone.objects())
-
-
 def test_what_was_given_up_is_cancelled_after_the_cut_before_it_is_done_again(survey):
     drone = survey.robot("drone", faults="faults: [{action: fly, do: hang, times: 1}]").ready()
     run = survey.run_plan(PERSISTENT.format(times=5))

@@ -8,7 +8,6 @@ from pathlib import Path
 import pytest
 
 from tests.support.e2e.deployment import SimulationProgram
-from tests.support.e2e.page.serving import Stream
 from tests.support.e2e.plan_deployment import ABORTED, CANCELED, SUCCEEDED, ClientProgram, PlanDeployment, Serving
 from tests.support.e2e.task_node import DOMAIN, PAGE, PROBLEM, goals
 from tests.support.processes import Program
@@ -16,23 +15,15 @@ from tests.support.processes import Program
 
 @pytest.fixture(scope="module")
 def robots(deployment_of_module: PlanDeployment) -> SimulationProgram:
-    command = ["-m", "planner_bridge", "simulate", DOMAIN, PROBLEM, "--speed", "20", "--log", "/dev/stdout"]
-    return deployment_of_module.start(SimulationProgram(command, deployment_of_module.environment)).ready()
+    options = ["--speed", "20", "--log", "/dev/stdout"]
+    return deployment_of_module.pnm(SimulationProgram, "simulate", DOMAIN, PROBLEM, *options).ready()
 
 
 @pytest.fixture(scope="module")
-def serving(deployment_of_module: PlanDeployment, robots: SimulationProgram) -> Serving:
-    """The node that takes goals, and its page."""
-    deployment_of_module.write({"goals.yaml": "goals:\n  in the yard: (and (at r1 yard) (not (at r2 yard)))"})
-    options = ["--goals", str(deployment_of_module.folder / "goals.yaml"), "--view=0"]
-    node = Serving(["-m", "planner_bridge", "serve", DOMAIN, PROBLEM, *options], deployment_of_module.environment)
-    deployment_of_module.start(node).ready()
-    return node
-
-
-@pytest.fixture(scope="module")
-def served(deployment_of_module: PlanDeployment, serving: Serving) -> PlanDeployment:
+def served(deployment_of_module: PlanDeployment, robots: SimulationProgram) -> PlanDeployment:
     """Robots, and the node that takes goals for them."""
+    deployment_of_module.write({"goals.yaml": "goals:\n  in the yard: (and (at r1 yard) (not (at r2 yard)))"})
+    deployment_of_module.pnm(Serving, "serve", DOMAIN, PROBLEM, "--goals", str(deployment_of_module.folder / "goals.yaml")).ready()
     return deployment_of_module
 
 
@@ -54,21 +45,6 @@ def test_a_goal_with_a_name_is_reached_by_the_robots(served, robots):
     assert (result["status"], result["reason"]) == (SUCCEEDED, "goal_reached"), result
     robots.happens("end", "move")
     assert goals(served, "in the yard").result()["status"] == SUCCEEDED, "it is so already"
-
-
-def test_the_page_of_the_node_shows_its_goals_as_they_are_reached(served, serving):
-    stream = Stream(next(line.split()[1] for line in serving.err if line.startswith("view ")))
-    _, frame = stream.next()
-    state = frame["parts"]
-    client = goals(served, "(at r1 kitchen)")
-    while not any((task["goal"], task["code"]) == ("(at r1 kitchen)", "goal_reached") for task in state["tasks"].values()):
-        _, frame = stream.next()
-        for part, changes in frame["parts"].items():
-            state.setdefault(part, {}).update(changes)
-    assert client.result()["reason"] == "goal_reached"
-    assert {request["outcome"] for request in state["requests"].values()} == {"succeeded"}
-    assert state["facts"]["(at r1 kitchen)"]["value"] == "true"
-    stream.close()
 
 
 def page(deployment: PlanDeployment, folder: Path, goal: str, limit: str) -> Program:

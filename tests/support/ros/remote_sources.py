@@ -3,8 +3,7 @@
 knowledge NAME      keeps variables; the one called "slow" is never answered, "broken" is no JSON, "no" is refused;
                     with "deaf", the first request of each service is never answered either
 person NAME WAY     answers questions: "reversed" two at a time, the second first; "never"; "late" once withdrawn, again and again;
-                    "deaf" what is asked twice; "wrong" with what is no JSON, with answers to nothing, and then as it should;
-                    "helpless" with a question, and when it is asked once more with "give up"
+                    "deaf" what is asked twice; "wrong" with what is no JSON, with answers to nothing, and then as it should
 """
 
 from __future__ import annotations
@@ -102,10 +101,6 @@ class RemotePerson:
             self.answer(question.id, "[1")
             self.answers.publish(Answer(id=question.id, value="ignored", unknown=True))
             self.answer(question.id, "2")
-
-    def helpless(self, question: Any) -> None:
-        if question.kind == Question.ASK:
-            self.answer(question.id, "give up" if question.text.startswith("Expected") else "what?")
 
     def answer(self, own: str, value: str) -> None:
         self.answers.publish(Answer(id=own, value=value))
