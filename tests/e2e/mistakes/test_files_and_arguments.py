@@ -20,17 +20,10 @@ FILES = {
     "the file of an option is misspelt": Mistake(f"run {BOTH} --bindings bindings.yml", 2, ("bindings.yml: there is no such file\n",)),
     "the file of the plan is misspelt": Mistake("run --plan tee.yaml", 2, ("tee.yaml: there is no such file; did you mean 'tea.yaml'?",)),
     "a folder for the file of an option": Mistake(f"run {BOTH} --faults robots", 2, ("robots: this is a folder; expected a file",)),
-    "PDDL for YAML to import": Mistake("import robots/domain.pddl -o new", 2, ("robots/domain.pddl:1:1: this is PDDL; expected YAML",)),
     "YAML for PDDL": Mistake(
         "plan tea.yaml tea.yaml",
         2,
         ("tea.yaml:1:1: expected (define (domain NAME) ...), found 'actions:'", "this is YAML: `pnm import`"),
-    ),
-    "faults for bindings": Mistake(
-        f"run {BOTH} --bindings f.yaml",
-        2,
-        ("f.yaml:1:1: unknown key 'faults'; expected one of actions, assumed, lag",),
-        {"f.yaml": "faults: []"},
     ),
     "a folder with a domain for the output of an import": Mistake(
         "import kitchen.yaml -o robots",
@@ -49,7 +42,6 @@ ARGUMENTS = {
     "a command is misspelt": Mistake(f"pln {BOTH}", 2, ("No such command 'pln'. Did you mean 'plan'?",)),
     "help for a command that is misspelt": Mistake("help pln", 2, ("No such command 'pln'. Did you mean 'plan'?",)),
     "a choice that is none": Mistake(f"run {BOTH} --actions ros", 2, ("'ros' is not one of 'simulated', 'ros2'",)),
-    "a planner is misspelt": Mistake(f"plan {BOTH} --planner kayros", 2, ("there is no planner 'kayros'", "did you mean 'kairos'?")),
     "the plan's file behind a flag": Mistake(f"export {BOTH} --plan foo.yaml", 2, ("No such option '--plan'", "'--with-plan'")),
     "sensing in a simulation": Mistake(f"run {BOTH} --sensing s.yaml", 2, ("--sensing describes topics", "expected --actions ros2")),
     "faults over ROS 2": Mistake(f"run {BOTH} --faults f.yaml --actions ros2", 2, ("--faults belongs to simulated robots",)),
@@ -86,7 +78,6 @@ PDDL = {
     "a ) is missing before an action": pddl(
         "domain", "(at end (at ?r ?to))))", "(at end (at ?r ?to)))", "domain.pddl:11:3: this '(' is not closed; expected ')' before line 16"
     ),
-    "no goal to run for": pddl("problem", "  (:goal (holding r1 cup))", "", "no :goal; any state will do", command="run", status=0),
     "a goal of nothing at all": pddl("problem", "(holding r1 cup)", "()", "nothing to do: the goal is empty", status=0),
     "a number without a value, which is needed": pddl(
         "problem",

@@ -18,18 +18,6 @@ DELIVERY: Final = load(*FILES)
 MISTAKES: Final[dict[str, tuple[Callable[[], object], str]]] = {
     "actions that are misspelt": (lambda: achieve(*FILES, actions="ros"), "did you mean 'ros2'?"),
     "actions that are a function": (lambda: achieve(*FILES, actions=print), "or an ActionClient, found <built-in function print>"),
-    "settings that are a dict": (
-        lambda: achieve(*FILES, settings={"planner": "kairos"}),
-        "achieve: expected Settings for settings, found {'planner': 'kairos'}",
-    ),
-    "an observer that is a function": (
-        lambda: achieve(*FILES, observer=print),
-        "achieve: expected TaskObserver for observer, found <built-in function print>",
-    ),
-    "faults that are a file": (
-        lambda: achieve(*FILES, faults="faults.yaml"),
-        "achieve: expected Faults for faults, found 'faults.yaml'",
-    ),
     "bindings that are a file": (
         lambda: Settings(bindings="bindings.yaml"),
         "expected Bindings, found 'bindings.yaml'; `pnm.read_bindings` reads a file",

@@ -6,7 +6,7 @@ import json
 
 import pytest
 
-from tests.support.files import ROOT, written
+from tests.support.files import written
 from tests.support.processes import LIMIT, Program
 
 DOMAIN = """
@@ -30,7 +30,8 @@ GAUGE = {"service": "/gauge", "type": "test_msgs/srv/BasicTypes", "fields": {"fl
 SENSORS = """
 sensors:
   - {topic: /lamp, facts: [{fact: (lit), field: bool_value}]}
-  - {service: /gauge, facts: [{number: (level), field: float64_value}]}
+  - {service: /gaug, facts: [{number: (level), field: float64_value}]}
+  - {service: /deaf, limit: 0.2, facts: [{number: (x hall), field: float64_value}]}
 """
 
 
@@ -38,10 +39,9 @@ sensors:
 def world(deploy_for_module):
     """Two action servers, of types that are not ours, a topic and a service."""
     deployment = deploy_for_module("foreign", texts=(DOMAIN, PROBLEM), quick=True)
-    servers = deployment.start(Program(["-m", "tests.support.e2e.programs.foreign_servers"], deployment.environment))
+    servers = deployment.module(Program, "tests.support.e2e.programs.foreign_servers")
     deaf = {"service": "/deaf", "type": "test_msgs/srv/BasicTypes", "fields": {}, "deaf": True}
-    sensors = ["-m", "tests.support.ros.sensors", *map(json.dumps, (LAMP, GAUGE, deaf))]
-    sensing = deployment.start(Program(sensors, deployment.environment))
+    sensing = deployment.module(Program, "tests.support.ros.sensors", *map(json.dumps, (LAMP, GAUGE, deaf)))
     servers.until(lambda: servers.out)
     sensing.until(lambda: "ready" in sensing.out)
     deployment.servers = servers
@@ -55,7 +55,7 @@ def started(world, tmp_path):
     def start(command, *bindings, sensing="", options=()):
         files = ["--bindings", str(written(tmp_path / "bindings.yaml", "\n  ".join(("actions:", *bindings))))]
         files += ["--sensing", str(written(tmp_path / "sensing.yaml", sensing))] if sensing else []
-        return world.start(Program(["-m", "planner_bridge", command, *world.files, *files, *options], world.environment))
+        return world.pnm(Program, command, *world.files, *files, *options)
 
     return start
 
@@ -74,29 +74,13 @@ def check(started):
     return run
 
 
-def test_everything_is_there_and_fits(check):
-    status, rows = check(COUNT, MEASURE, sensing=SENSORS)
-    assert status == 0
-    assert {what: row[:2] for what, row in rows.items()} == {
-        "count": ("ready", "/count"),
-        "measure": ("ready", "/measure"),
-        "(lit)": ("ready", "/lamp"),
-        "(level)": ("ready", "/gauge"),
-    }
-
-
-def test_what_is_not_there_yet_names_what_is_near(check):
-    sensing = """
-sensors:
-  - {topic: /lamps, facts: [{fact: (lit), field: bool_value}]}
-  - {service: /gaug, facts: [{number: (level), field: float64_value}]}
-  - {service: /deaf, limit: 0.2, facts: [{number: (x hall), field: float64_value}]}
-"""
-    status, rows = check("count: {server: cuont, type: test_msgs/action/Fibonacci, goal: {order: 3}}", MEASURE, sensing=sensing)
+def test_what_is_there_and_fits_is_ready_and_what_is_not_there_yet_names_what_is_near(check):
+    status, rows = check("count: {server: cuont, type: test_msgs/action/Fibonacci, goal: {order: 3}}", MEASURE, sensing=SENSORS)
     assert status == 1
     absent = "there is no action server /cuont of type test_msgs/action/Fibonacci; similar are /count"
     assert rows["count"] == ("absent", "/cuont", absent)
-    assert rows["(lit)"] == ("absent", "/lamps", "there is no topic /lamps; similar are /lamp")
+    assert rows["measure"][:2] == ("ready", "/measure")
+    assert rows["(lit)"][:2] == ("ready", "/lamp")
     assert rows["(level)"] == ("absent", "/gaug", "there is no service /gaug; similar are /gauge")
     assert rows["(x hall)"][:2] == ("silent", "/deaf")
     assert rows["(x hall)"][2].startswith("/deaf has not answered yet")
@@ -125,22 +109,14 @@ def test_run_says_once_what_is_not_there_and_how_long_it_waits_and_is_quiet_othe
 def test_what_starts_a_little_later_is_waited_for(deploy):
     deployment = deploy("foreign", texts=(DOMAIN, PROBLEM), bindings="\n  ".join(("actions:", COUNT, MEASURE)), quick=True)
     files = [*deployment.files, "--bindings", str(deployment.folder / "bindings.yaml")]
-    check = deployment.start(Program(["-m", "planner_bridge", "check", *files, "--wait", str(LIMIT)], deployment.environment))
-    deployment.start(Program(["-m", "tests.support.e2e.programs.foreign_servers"], deployment.environment))
+    check = deployment.pnm(Program, "check", *files, "--wait", str(LIMIT))
+    deployment.module(Program, "tests.support.e2e.programs.foreign_servers")
     assert check.ended() == 0
     assert [line.split() for line in check.out] == [
         ["what", "name", "type", "state", "what", "to", "do"],
         ["count", "/count", FIBONACCI, "ready"],
         ["measure", "/measure", NESTED, "ready"],
     ]
-
-
-def test_the_servers_of_plans_by_hand_are_looked_for(world):
-    plans = str(ROOT / "domains" / "mall_guide" / "plans" / "world.yaml")
-    program = world.start(Program(["-m", "planner_bridge", "check", "--plan", plans], world.environment))
-    assert program.ended() == 1
-    states = {line.split()[0]: line.split()[2] for line in program.out[1:]}
-    assert states == {"say": "absent", "ask_wish": "absent", "point_at": "absent"}
 
 
 PATROL = """
@@ -154,7 +130,7 @@ patrol:
 
 def checked(world, tmp_path, kind, *options):
     plan = written(tmp_path, PATROL.replace("KIND", kind))
-    program = world.start(Program(["-m", "planner_bridge", "check", "--plan", str(plan), *options], world.environment))
+    program = world.pnm(Program, "check", "--plan", str(plan), *options)
     return program.ended(), [line.split(maxsplit=4) for line in program.out[1:]]
 
 
