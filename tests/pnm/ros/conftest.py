@@ -10,6 +10,7 @@ import json
 import os
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
+from inspect import iscoroutinefunction, signature
 from itertools import count
 from pathlib import Path
 from typing import Any
@@ -22,8 +23,9 @@ from pnm.ros.node.ros_thread import RosThread
 from tests.support.files import ROOT, written
 from tests.support.pddl.sensed_world import PROBLEM
 from tests.support.processes import ros_domain
-from tests.support.ros.child_process import OURS, ChildProcess
+from tests.support.ros.child_process import OURS, ChildProcess, Within, run_bounded, run_within
 from tests.support.ros.recording_client import RecordingClient
+from tests.support.ros.serving_node import serving_node
 
 # Fast DDS 2.14 may block for ever when one of two participants of a process is destroyed while it delivers directly to the other.
 os.environ.setdefault("FASTRTPS_DEFAULT_PROFILES_FILE", str(ROOT / "tests/pnm/ros/one_process.xml"))
@@ -34,6 +36,15 @@ _own = ExitStack()  # until this process ends
 os.environ["ROS_DOMAIN_ID"] = str(_own.enter_context(ros_domain()))
 os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
 os.environ["FASTDDS_BUILTIN_TRANSPORTS"] = "UDPv4"
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_pyfunc_call(pyfuncitem: pytest.Function) -> bool | None:
+    """Run a test that is a coroutine for as long as a busy machine needs, and no longer."""
+    if not iscoroutinefunction(pyfuncitem.obj):
+        return None
+    run_bounded(run_within(pyfuncitem.obj, {name: pyfuncitem.funcargs[name] for name in signature(pyfuncitem.obj).parameters}))
+    return True
 
 
 @pytest.fixture(scope="session")
@@ -51,12 +62,24 @@ def names() -> Callable[[], str]:
 
 
 @pytest.fixture
+def name(names: Callable[[], str]) -> str:
+    """A new name."""
+    return names()
+
+
+@pytest.fixture
 def two(names: Callable[[], str]) -> Iterator[tuple[RosThread, RosThread]]:
     """A node and another for its client, in a namespace that nobody else has: what was there before is remembered for a while."""
     namespace = names()
     threads = RosThread("pnm", namespace=namespace), RosThread("client", namespace=namespace)
     yield threads
     assert all(thread.close() for thread in threads)
+
+
+@pytest.fixture
+def one(two: tuple[RosThread, RosThread]) -> Within:
+    """A node whose tasks do as their goals say, and a client of it."""
+    return Within(serving_node(two))
 
 
 @pytest.fixture

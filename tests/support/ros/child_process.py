@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import asyncio
 import subprocess
-from collections.abc import Callable, Coroutine
-from contextlib import suppress
-from functools import wraps
+from collections.abc import Callable, Coroutine, Mapping
+from contextlib import AbstractAsyncContextManager, AsyncExitStack, suppress
+from dataclasses import dataclass
 from typing import Any, Final
 
 import pytest
@@ -83,11 +83,15 @@ def run_bounded(main: Coroutine[Any, Any, Any]) -> Any:
     return asyncio.run(bounded())
 
 
-def bounded(test: Callable[..., Coroutine[Any, Any, None]]) -> Callable[..., None]:
-    """Have a test that is a coroutine be run, for as long as a busy machine needs and no longer."""
+@dataclass(frozen=True)
+class Within:
+    """What a fixture gives to a test that is a coroutine: it gets what the context gives, and the context ends with it."""
 
-    @wraps(test)
-    def run(*arguments: Any, **fixtures: Any) -> None:
-        run_bounded(test(*arguments, **fixtures))
+    context: AbstractAsyncContextManager[Any]
 
-    return run
+
+async def run_within(test: Callable[..., Coroutine[Any, Any, None]], given: Mapping[str, object]) -> None:
+    """Run a test with its fixtures, within the contexts among them."""
+    async with AsyncExitStack() as stack:
+        entered = {name: await stack.enter_async_context(one.context) for name, one in given.items() if isinstance(one, Within)}
+        await test(**{**given, **entered})

@@ -11,13 +11,11 @@ from pnm.core.machine.plan_graph import GroundAction
 from pnm.core.machine.requests import Ended, Feedback, OutcomeKind, Postponed
 from pnm.errors import InputError
 from tests.support.processes import LIMIT
-from tests.support.ros.child_process import bounded
 from tests.support.ros.recording_client import GROUND
 
 FIBONACCI = "test_msgs/action/Fibonacci"
 
 
-@bounded
 async def test_an_end_is_known_before_it_is_reported_and_one_without_success_when_the_world_has_been_asked(connect, shared):
     known, asked, answered = [], asyncio.Event(), asyncio.Event()
 
@@ -41,7 +39,6 @@ async def test_an_end_is_known_before_it_is_reported_and_one_without_success_whe
     assert (await aborted.ended()).kind is OutcomeKind.ABORTED
 
 
-@bounded
 async def test_two_types_for_one_server_are_an_error_and_one_serves_for_all(connect, shared):
     act, again = Binding(server=shared), Binding(server=f"/{shared}", type=GROUND)
     client = connect(act=act, again=again, other=Binding(server=shared, type=FIBONACCI))
@@ -55,7 +52,6 @@ async def test_two_types_for_one_server_are_an_error_and_one_serves_for_all(conn
     assert (outcome.kind, outcome.message) == (OutcomeKind.UNAVAILABLE, reason)
 
 
-@bounded
 async def test_cancel_before_acceptance_is_sent_on_acceptance(connect, shared):
     client = connect(act=Binding(server=shared))
     await client.send("act", action="succeed").ended()  # from now on goals are sent at once
@@ -65,7 +61,6 @@ async def test_cancel_before_acceptance_is_sent_on_acceptance(connect, shared):
     assert (await sent.ended()).kind is OutcomeKind.CANCELED
 
 
-@bounded
 async def test_cancel_before_sending_sends_nothing(connect, names):
     client = connect(act=Binding(server=names(), type=GROUND))
     sent = client.send("act")
@@ -91,7 +86,6 @@ async def test_cancel_before_sending_sends_nothing(connect, names):
         ("two words", None, {}, OutcomeKind.UNAVAILABLE, "not a name for an action server: 'two words'"),
     ],
 )
-@bounded
 async def test_what_cannot_be_sent_or_is_rejected_says_why(connect, shared, server, type, goal, kind, said):
     client = connect(act=Binding(server=server.replace("SHARED", shared), type=type))
     outcome = await client.send("act", **goal).ended()
@@ -99,7 +93,6 @@ async def test_what_cannot_be_sent_or_is_rejected_says_why(connect, shared, serv
     assert said.replace("SHARED", shared) in outcome.message
 
 
-@bounded
 async def test_a_goal_that_was_filled_before_its_type_was_known_is_sent_if_it_has_all_fields(connect, start):
     name = start("--fibonacci").name
     filled = {"action": name, "arguments": [], "duration": 0.0}
@@ -115,7 +108,6 @@ async def test_a_goal_that_was_filled_before_its_type_was_known_is_sent_if_it_ha
     assert client.ros2.goal_fields(action) == ("order",)
 
 
-@bounded
 async def test_goals_that_wait_for_the_answers_to_others_have_their_whole_time(connect, start):
     """The server answers one goal after the other: more goals than it answers within the limit of one of them all get an answer."""
     client = connect(act=Binding(server=start().name, type=GROUND, accept=2.5))
@@ -129,7 +121,6 @@ async def test_goals_that_wait_for_the_answers_to_others_have_their_whole_time(c
         assert (await goal.ended()).kind is OutcomeKind.CANCELED
 
 
-@bounded
 async def test_nothing_is_sent_while_the_process_may_not_act_and_all_of_it_when_it_may(connect, shared):
     client, other = (connect(act=Binding(server=shared)) for _ in range(2))
     running = client.send("act", action="hang")
@@ -146,7 +137,6 @@ async def test_nothing_is_sent_while_the_process_may_not_act_and_all_of_it_when_
     assert (await waiting.ended()).kind is OutcomeKind.SUCCEEDED
 
 
-@bounded
 async def test_a_server_that_reports_without_a_pause_is_heard_a_few_times_about_the_goal_it_means(connect, shared):
     client = connect(act=Binding(server=shared))
     other, sent = client.send("act", action="hang"), client.send("act", action="chatter", arguments=["2000"])

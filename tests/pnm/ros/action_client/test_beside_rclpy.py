@@ -13,7 +13,7 @@ from pnm.core.machine.bindings import Binding
 from pnm.core.machine.requests import Accepted, Ended, Feedback, OutcomeKind
 from pnm.ros.action_client.action_services import ActionServices
 from pnm.ros.action_client.goal import OVER
-from tests.support.ros.child_process import bounded, run_bounded
+from tests.support.ros.child_process import run_bounded
 from tests.support.ros.task_client import StockClient
 
 ENDS = ("succeed", "abort", "reject", "raise", "oddly")
@@ -75,7 +75,6 @@ def test_what_a_server_does_is_reported_as_by_rclpy(connect, stock, shared, goal
     run_bounded(scenario())
 
 
-@bounded
 async def test_an_answer_that_cannot_be_used_keeps_no_others_away(ros, shared, caplog):
     loop, answered = asyncio.get_running_loop(), asyncio.Event()
     services = await ros.ask(lambda: ActionServices(ros.node, GroundAction, f"/{shared}", answered_twice=print))

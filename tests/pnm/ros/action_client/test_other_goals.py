@@ -16,7 +16,7 @@ from pnm.core.machine.requests import Accepted, Ended, Outcome, OutcomeKind, Req
 from pnm.ros.action_client.action_services import ros_uuid
 from pnm.ros.action_client.other_goals import OtherGoals, statuses
 from pnm.ros.node.services import until_true
-from tests.support.ros.child_process import bounded, until_logged
+from tests.support.ros.child_process import until_logged
 from tests.support.ros.recording_client import RecordingClient, Sent
 
 PREFIX = b"node"
@@ -36,7 +36,6 @@ def sent_by_another_process(client: RecordingClient, action: str) -> Sent:
     return client.send("act", UUID(bytes=PREFIX + uuid4().bytes[4:]), action=action)
 
 
-@bounded
 async def test_what_another_program_has_sent_is_waited_for(connect, start, caplog):
     name = start().name
     other = connect(act=Binding(server=name))
@@ -52,7 +51,6 @@ async def test_what_another_program_has_sent_is_waited_for(connect, start, caplo
     assert (await mine.ended()).kind is OutcomeKind.SUCCEEDED
 
 
-@bounded
 async def test_the_wait_for_others_has_a_limit_and_they_are_cancelled_if_the_binding_says_so(connect, start):
     name = start().name
     other = connect(act=Binding(server=name))
@@ -68,7 +66,6 @@ async def test_the_wait_for_others_has_a_limit_and_they_are_cancelled_if_the_bin
     assert (await mine.ended()).kind is OutcomeKind.SUCCEEDED
 
 
-@bounded
 async def test_what_this_node_has_forgotten_is_cancelled_and_what_it_goes_on_with_is_not(ros, connect, start, caplog):
     name = start().name
     before = connect(act=Binding(server=name))
@@ -88,7 +85,6 @@ async def test_what_this_node_has_forgotten_is_cancelled_and_what_it_goes_on_wit
     await ros.ask(others.close)
 
 
-@bounded
 async def test_a_node_without_its_lease_cancels_nothing_of_the_one_that_has_taken_over(ros, connect, start, caplog):
     name, lease = start().name, []
     successor = connect(act=Binding(server=name))
@@ -109,7 +105,6 @@ async def test_a_node_without_its_lease_cancels_nothing_of_the_one_that_has_take
     await ros.ask(others.close)
 
 
-@bounded
 async def test_a_server_that_died_is_at_work_on_nothing(ros, connect, start):
     server = start()
     await connect(act=Binding(server=server.name)).send("act", action="hang").accepted()
@@ -121,7 +116,6 @@ async def test_a_server_that_died_is_at_work_on_nothing(ros, connect, start):
     await ros.ask(others.close)
 
 
-@bounded
 async def test_a_kept_goal_that_is_cancelled_at_once_ends_when_its_server_says_so(connect, shared):
     before, after = (connect(act=Binding(server=shared)) for _ in range(2))
     stubborn = before.send("act", action="stubborn", arguments=["0.5"])
@@ -135,7 +129,6 @@ async def test_a_kept_goal_that_is_cancelled_at_once_ends_when_its_server_says_s
     assert await unknown.ended() == Outcome(OutcomeKind.CANCELED, message="cancelled before it was sent")
 
 
-@bounded
 async def test_a_goal_that_may_be_sent_twice_is_sent_to_the_server_that_has_come_back(connect, start):
     server = start()
     client = connect(act=Binding(server=server.name, when_lost=WhenLost.RESEND))

@@ -18,10 +18,8 @@ from pnm.ros.node.services import until_true
 from tests.support.e2e.hosts.lan import DDS, LEASE
 from tests.support.files import written
 from tests.support.processes import LIMIT
-from tests.support.ros.child_process import bounded
 
 
-@bounded
 async def test_a_server_that_comes_late_is_waited_for_and_its_type_is_learned(connect, start, names):
     client, action = connect(), GroundAction(names())
     assert await client.ros2.prepare([action], 0.0) == (f"/{action.name}",)
@@ -31,7 +29,6 @@ async def test_a_server_that_comes_late_is_waited_for_and_its_type_is_learned(co
     assert client.ros2.goal_fields(action) == ("order",)
 
 
-@bounded
 async def test_30_goals_at_once_on_a_server_with_default_qos_that_end_together_or_are_cancelled(connect, shared):
     client = connect(act=Binding(server=shared))
     sent = [client.send("act", action="together", arguments=["30"]) for _ in range(30)]
@@ -44,7 +41,6 @@ async def test_30_goals_at_once_on_a_server_with_default_qos_that_end_together_o
     assert {(await one.ended()).kind for one in sent} == {OutcomeKind.CANCELED}
 
 
-@bounded
 async def test_a_goal_that_is_answered_late_is_cancelled_and_over_when_its_server_says_so(connect, start):
     name = start("--threads", "2").name
     client = connect(act=Binding(server=name, accept=2.0), patient=Binding(server=name))
@@ -55,7 +51,6 @@ async def test_a_goal_that_is_answered_late_is_cancelled_and_over_when_its_serve
     assert (await client.send("patient", action="succeed").ended()).kind is OutcomeKind.SUCCEEDED
 
 
-@bounded
 async def test_a_goal_whose_answer_gets_lost_is_cancelled_by_its_id(connect, shared):
     client = connect(act=Binding(server=shared, accept=1.0), patient=Binding(server=shared))
     await client.send("patient", action="succeed").ended()  # the first contact may take longer than the limit
@@ -63,7 +58,6 @@ async def test_a_goal_whose_answer_gets_lost_is_cancelled_by_its_id(connect, sha
     assert (outcome.kind, outcome.message.partition(" after")[0]) == (OutcomeKind.CANCELED, "stopped")
 
 
-@bounded
 async def test_a_goal_that_is_never_taken_up_ends_when_its_server_does_not_know_it_for_as_long_again(connect, start):
     name = start("--threads", "3").name
     client = connect(act=Binding(server=name, accept=1.0), patient=Binding(server=name))
@@ -75,7 +69,6 @@ async def test_a_goal_that_is_never_taken_up_ends_when_its_server_does_not_know_
     )
 
 
-@bounded
 async def test_a_restarted_server_is_noticed_quickly_and_used_again(connect, start):
     server = start()
     client = connect(act=Binding(server=server.name))
@@ -88,7 +81,6 @@ async def test_a_restarted_server_is_noticed_quickly_and_used_again(connect, sta
     assert (await client.send("act", action="succeed").ended()).kind is OutcomeKind.SUCCEEDED
 
 
-@bounded
 async def test_a_killed_server_is_lost_and_a_blocked_one_is_not(connect, start, tmp_path):
     killed = start(FASTRTPS_DEFAULT_PROFILES_FILE=str(written(tmp_path / "dds.xml", DDS)))
     client = connect(act=Binding(server=killed.name), busy=Binding(server=start("--threads", "1").name))
@@ -106,7 +98,6 @@ async def test_a_killed_server_is_lost_and_a_blocked_one_is_not(connect, start, 
 # --- several servers of one name: all of them carry out what is sent to one ---
 
 
-@bounded
 async def test_nothing_is_sent_while_two_servers_would_carry_it_out(connect, start):
     other = start()
     start(name=other.name)
@@ -123,7 +114,6 @@ async def test_nothing_is_sent_while_two_servers_would_carry_it_out(connect, sta
 
 
 @pytest.mark.parametrize("allowed", [False, True])
-@bounded
 async def test_a_second_server_ends_what_the_first_one_is_at_work_on_unless_it_is_allowed(connect, start, allowed):
     name = start().name
     client = connect(act=Binding(server=name, several_servers=allowed))
@@ -143,7 +133,6 @@ async def test_a_second_server_ends_what_the_first_one_is_at_work_on_unless_it_i
 # --- clients that end ---
 
 
-@bounded
 async def test_goals_end_when_the_ros_thread_is_closed_under_the_client(connect, shared):
     ros = RosThread("closed_early")
     client = connect(ros, act=Binding(server=shared))

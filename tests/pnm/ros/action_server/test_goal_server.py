@@ -12,7 +12,6 @@ from pnm.core.machine.bindings import Binding
 from pnm.core.machine.requests import OutcomeKind
 from pnm.ros.action_server.goal_server import GoalServer
 from pnm.ros.node.ros_thread import RosThread
-from tests.support.ros.child_process import bounded
 from tests.support.ros.recording_client import RecordingClient
 
 TYPE = "pnm_interfaces/action/AchieveGoal"
@@ -34,7 +33,6 @@ async def serving(
     await server.close()
 
 
-@bounded
 async def test_a_goal_is_accepted_when_its_server_has_decided_and_others_meanwhile(two, connect):
     kept, arrived = asyncio.Event(), asyncio.Event()
 
@@ -53,7 +51,6 @@ async def test_a_goal_is_accepted_when_its_server_has_decided_and_others_meanwhi
         await slow.accepted()
 
 
-@bounded
 async def test_what_is_over_while_it_is_decided_about_is_accepted_first(two, connect):
     async def accept(server: GoalServer, goal: UUID, text: str) -> str:
         server.end(goal, *DONE)
@@ -67,7 +64,6 @@ async def test_what_is_over_while_it_is_decided_about_is_accepted_first(two, con
         assert (outcome.kind, outcome.result["message"]) == (OutcomeKind.SUCCEEDED, "done")
 
 
-@bounded
 async def test_a_goal_whose_server_died_before_it_answered_goes_on_in_the_next_process_that_has_it(two, connect):
     async def accept(server: GoalServer, goal: UUID, text: str) -> str:
         arrived.set()
@@ -88,7 +84,6 @@ async def test_a_goal_whose_server_died_before_it_answered_goes_on_in_the_next_p
         await asyncio.to_thread(next_node.close)
 
 
-@bounded
 async def test_a_goal_is_rejected_for_a_reason_or_an_error_and_the_next_one_is_not(two, connect, caplog):
     async def accept(server: GoalServer, goal: UUID, text: str) -> str:
         if text == "error":

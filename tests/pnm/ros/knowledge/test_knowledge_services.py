@@ -17,26 +17,29 @@ from pnm.knowledge.source import Asker, MemoryKnowledge, SourceError
 from pnm.knowledge.sources import Sources
 from tests.support.logic.people import Person
 from tests.support.processes import LIMIT
-from tests.support.ros.child_process import OURS, bounded
+from tests.support.ros.child_process import OURS, Within
 from tests.support.ros.fake_executor import FakeExecutor, fake_executor
 
 
-@bounded
-async def test_local_and_global_and_both(ros, server):
-    async with fake_executor(ros) as one:
-        assert await one.said(server, "query", "all", "spam") == []
-        assert await one.said(server, "update", "local", "spam", {"eggs": [1, 2.5, None, "ü"]}) == [None]
-        assert one.local.variable("spam") == {"eggs": [1, 2.5, None, "ü"]}
-        assert await one.said(server, "query", "local", "spam") == [{"eggs": [1, 2.5, None, "ü"]}]
-        assert await one.said(server, "query", "global", "spam") == []
-        assert await one.said(server, "update", "global", "spam", False) == [None]
-        assert await one.said(server, "query", "all", "spam") == [{"eggs": [1, 2.5, None, "ü"]}]
-        assert await one.said(server, "query", "global", "spam") == [False]
-        assert await one.said(server, "update", "all", "both", 0) == [None]
-        assert [await one.said(server, "query", layer, "both") for layer in ("local", "global")] == [[0], [0]]
+@pytest.fixture
+def one(ros):
+    """An executor with global knowledge in memory."""
+    return Within(fake_executor(ros))
 
 
-@bounded
+async def test_local_and_global_and_both(one, server):
+    assert await one.said(server, "query", "all", "spam") == []
+    assert await one.said(server, "update", "local", "spam", {"eggs": [1, 2.5, None, "ü"]}) == [None]
+    assert one.local.variable("spam") == {"eggs": [1, 2.5, None, "ü"]}
+    assert await one.said(server, "query", "local", "spam") == [{"eggs": [1, 2.5, None, "ü"]}]
+    assert await one.said(server, "query", "global", "spam") == []
+    assert await one.said(server, "update", "global", "spam", False) == [None]
+    assert await one.said(server, "query", "all", "spam") == [{"eggs": [1, 2.5, None, "ü"]}]
+    assert await one.said(server, "query", "global", "spam") == [False]
+    assert await one.said(server, "update", "all", "both", 0) == [None]
+    assert [await one.said(server, "query", layer, "both") for layer in ("local", "global")] == [[0], [0]]
+
+
 async def test_every_kind_of_server_may_ask_whatever_spins_it(ros, names, begin, server):
     many = await asyncio.to_thread(begin, "asking_server", names(), "8")
     async with fake_executor(ros) as one:
@@ -47,30 +50,23 @@ async def test_every_kind_of_server_may_ask_whatever_spins_it(ros, names, begin,
             assert await one.said(name, "query", "all", "v7") == [[name, 7]]
 
 
-@bounded
-async def test_the_example_of_the_documentation(ros, server):
-    async with fake_executor(ros) as one:
-        await one.sources.update(Question("shop", Layer.GLOBAL, "null"), "bakery", Asker(one.run))
-        assert (await one.send("guide", "lead")).kind is OutcomeKind.SUCCEEDED
-        assert one.local.variables() == {"seen": ["bakery"]}
+async def test_the_example_of_the_documentation(one, server):
+    await one.sources.update(Question("shop", Layer.GLOBAL, "null"), "bakery", Asker(one.run))
+    assert (await one.send("guide", "lead")).kind is OutcomeKind.SUCCEEDED
+    assert one.local.variables() == {"seen": ["bakery"]}
 
 
-@bounded
-async def test_waiting_on_the_thread_that_spins_is_refused_at_once(ros, server):
-    async with fake_executor(ros) as one:
-        for wanted in (("query", "all", "a"), ("update", "all", "a", 1)):
-            assert "in a coroutine, await the ..._async method" in await one.said(f"{server}_wrong", *wanted)
+async def test_waiting_on_the_thread_that_spins_is_refused_at_once(one, server):
+    for wanted in (("query", "all", "a"), ("update", "all", "a", 1)):
+        assert "in a coroutine, await the ..._async method" in await one.said(f"{server}_wrong", *wanted)
 
 
-@bounded
-async def test_a_goal_of_somebody_else_is_carried_out_and_has_no_knowledge(ros, server):
-    async with fake_executor(ros) as one:
-        outcome = await one.send(server, "query", "all", "spam", id=uuid4())
-        assert outcome.kind is OutcomeKind.SUCCEEDED
-        assert "the goal does not come from a plan executive" in outcome.message
+async def test_a_goal_of_somebody_else_is_carried_out_and_has_no_knowledge(one, server):
+    outcome = await one.send(server, "query", "all", "spam", id=uuid4())
+    assert outcome.kind is OutcomeKind.SUCCEEDED
+    assert "the goal does not come from a plan executive" in outcome.message
 
 
-@bounded
 async def test_an_executive_without_services_is_missed_by_name(ros, server):
     one = FakeExecutor(ros, Sources())
     for action, rest in (("query", []), ("update", [1])):
@@ -79,7 +75,6 @@ async def test_an_executive_without_services_is_missed_by_name(ros, server):
     await one.close()
 
 
-@bounded
 async def test_an_executive_is_asked_again_until_it_has_answered_once_but_told_once(ros, server):
     def deaf(heard):
         async def answer(request, response):
@@ -119,7 +114,6 @@ def test_an_executive_that_is_killed_is_not_waited_for(names, begin):
     assert OURS not in server.stop()
 
 
-@bounded
 async def test_a_global_source_that_never_answers_is_said_to_the_server(ros, server):
     class Never(MemoryKnowledge):
         async def query(self, question, asker, /):
@@ -129,7 +123,6 @@ async def test_a_global_source_that_never_answers_is_said_to_the_server(ros, ser
         assert await one.said(server, "query", "all", "spam", None, 0.5) == "there was no answer within 0.5 s"
 
 
-@bounded
 async def test_what_a_source_refuses_is_said_to_the_server_and_changes_nothing(ros, server):
     class Full(MemoryKnowledge):
         async def update(self, question, value, asker, /):
@@ -141,7 +134,6 @@ async def test_what_a_source_refuses_is_said_to_the_server_and_changes_nothing(r
 
 
 @pytest.mark.parametrize("kind", ["", "_coroutine"])
-@bounded
 async def test_cancelling_a_goal_that_asks_ends_it_and_withdraws_the_question(ros, server, kind):
     person, name = Person(), f"{server}{kind}"
     async with fake_executor(ros, person=person) as one:
@@ -155,7 +147,6 @@ async def test_cancelling_a_goal_that_asks_ends_it_and_withdraws_the_question(ro
         assert await person.withdrawn.get() == "shop"
 
 
-@bounded
 async def test_a_person_is_asked_while_others_go_on(ros, server):
     person = Person()
     async with fake_executor(ros, person=person) as one:
@@ -173,20 +164,10 @@ async def test_a_person_is_asked_while_others_go_on(ros, server):
         assert await person.asked.get() == 'shop: thanks {"mood": 1}'
 
 
-@bounded
-async def test_two_executives_have_services_of_their_own(ros, server):
-    async with fake_executor(ros) as one, fake_executor(ros) as two:
-        await one.said(server, "update", "all", "spam", 1)
-        await two.said(server, "update", "all", "spam", 2)
-        assert (one.local.variables(), two.local.variables()) == ({"spam": 1}, {"spam": 2})
-
-
 @pytest.mark.parametrize("action", ["raise", "return"])
-@bounded
-async def test_a_callback_that_fails_aborts_its_goal_and_nothing_more(ros, server, action):
-    async with fake_executor(ros) as one:
-        assert (await one.send(server, action)).kind is OutcomeKind.ABORTED
-        assert await one.said(server, "query", "all", "spam") == []
+async def test_a_callback_that_fails_aborts_its_goal_and_nothing_more(one, server, action):
+    assert (await one.send(server, action)).kind is OutcomeKind.ABORTED
+    assert await one.said(server, "query", "all", "spam") == []
 
 
 @pytest.mark.parametrize(
@@ -197,13 +178,10 @@ async def test_a_callback_that_fails_aborts_its_goal_and_nothing_more(ros, serve
         (("query", "local", "spam", [float("inf")]), "JSON cannot say [inf]"),
     ],
 )
-@bounded
-async def test_a_server_that_asks_nonsense_is_told_so(ros, server, arguments, said):
-    async with fake_executor(ros) as one:
-        assert said in await one.said(server, *arguments)
+async def test_a_server_that_asks_nonsense_is_told_so(one, server, arguments, said):
+    assert said in await one.said(server, *arguments)
 
 
-@bounded
 async def test_a_server_that_ends_while_it_asks_leaves_no_traceback_of_ours(ros, names, begin):
     server = await asyncio.to_thread(begin, "asking_server", names())
     person = Person()

@@ -15,7 +15,7 @@ from pnm.ros.knowledge import Ros2Knowledge, Ros2Person
 from pnm.ros.node.services import ServiceClient
 from tests.support.logic.people import about
 from tests.support.processes import LIMIT
-from tests.support.ros.child_process import ChildProcess, bounded, until_logged
+from tests.support.ros.child_process import ChildProcess, until_logged
 
 ME = Asker(UUID(int=7), "tour")
 
@@ -32,9 +32,7 @@ async def next_line(process: ChildProcess) -> list[object]:
 # --- knowledge -----------------------------------------------------------------------------
 
 
-@bounded
-async def test_knowledge_elsewhere(ros, names, begin):
-    name = names()
+async def test_knowledge_elsewhere(ros, name, begin):
     process = await asyncio.to_thread(begin, "remote_sources", "knowledge", name)
     knowledge = Ros2Knowledge(ros, name, limit=LIMIT)
     assert await knowledge.query(about("a", meta={"x": 1}), ME) is MISSING
@@ -63,9 +61,7 @@ async def test_knowledge_elsewhere(ros, names, begin):
     await knowledge.close()
 
 
-@bounded
-async def test_a_service_is_asked_again_until_it_has_answered_once(ros, names, begin):
-    name = names()
+async def test_a_service_is_asked_again_until_it_has_answered_once(ros, name, begin):
     process = await asyncio.to_thread(begin, "remote_sources", "knowledge", name, "deaf")
     knowledge = Ros2Knowledge(ros, name, limit=LIMIT)
     await knowledge.update(about("a"), 1, ME)
@@ -86,9 +82,7 @@ async def test_a_service_is_asked_again_until_it_has_answered_once(ros, names, b
     await knowledge.close()
 
 
-@bounded
-async def test_a_service_that_comes_late_is_waited_for_and_one_that_is_killed_is_not(ros, names, begin):
-    name = names()
+async def test_a_service_that_comes_late_is_waited_for_and_one_that_is_killed_is_not(ros, name, begin):
     patient, knowledge = Ros2Knowledge(ros, name, limit=LIMIT), Ros2Knowledge(ros, name, limit=1.0)
     asking = asyncio.ensure_future(patient.query(about("a"), ME))
     process = await asyncio.to_thread(begin, "remote_sources", "knowledge", name)
@@ -103,9 +97,7 @@ async def test_a_service_that_comes_late_is_waited_for_and_one_that_is_killed_is
 # --- people --------------------------------------------------------------------------------
 
 
-@bounded
-async def test_answers_reach_who_asked_in_whatever_order_they_come(ros, names, begin):
-    name = names()
+async def test_answers_reach_who_asked_in_whatever_order_they_come(ros, name, begin):
     person = Ros2Person(ros, name, limit=LIMIT)
     first = asyncio.ensure_future(person.query(about("shop", Layer.PERSON, "Which shop?"), ME))
     second = asyncio.ensure_future(person.query(about("USER"), Asker(UUID(int=8), "talk\x1b")))
@@ -121,9 +113,7 @@ async def test_answers_reach_who_asked_in_whatever_order_they_come(ros, names, b
     await person.close()
 
 
-@bounded
-async def test_a_question_is_repeated_for_somebody_who_has_just_been_discovered(ros, names, begin):
-    name = names()
+async def test_a_question_is_repeated_for_somebody_who_has_just_been_discovered(ros, name, begin):
     person = Ros2Person(ros, name, limit=LIMIT)
     process = await asyncio.to_thread(begin, "remote_sources", "person", name, "deaf")
     assert await person.query(about("shop", Layer.PERSON, "Which shop?"), ME) == 1, "what it had answered at once may have been lost"
@@ -131,9 +121,7 @@ async def test_a_question_is_repeated_for_somebody_who_has_just_been_discovered(
     await person.close()
 
 
-@bounded
-async def test_a_message_is_told_and_closing_ends_open_questions(ros, names, begin):
-    name = names()
+async def test_a_message_is_told_and_closing_ends_open_questions(ros, name, begin):
     process = await asyncio.to_thread(begin, "remote_sources", "person", name, "never")
     person = Ros2Person(ros, name, limit=LIMIT)
     await person.update(about("CONTROLLER", meta={"status": 1}), {"at": "hall"}, ME)
@@ -148,9 +136,7 @@ async def test_a_message_is_told_and_closing_ends_open_questions(ros, names, beg
         await person.update(about("USER"), 1, ME)
 
 
-@bounded
-async def test_a_question_that_nobody_answers_is_withdrawn_and_telling_nobody_is_an_error(ros, names, begin, monkeypatch):
-    name = names()
+async def test_a_question_that_nobody_answers_is_withdrawn_and_telling_nobody_is_an_error(ros, name, begin, monkeypatch):
     person = Ros2Person(ros, name, limit=0.3)
     monkeypatch.setattr("pnm.ros.knowledge.LISTENER", 0.3)
     with pytest.raises(SourceError, match=f"nobody listens on {name}/questions to be told 'Bye!'"):
@@ -164,10 +150,8 @@ async def test_a_question_that_nobody_answers_is_withdrawn_and_telling_nobody_is
     await person.close()
 
 
-@bounded
-async def test_a_question_that_is_cancelled_is_withdrawn_and_its_late_answer_ignored(ros, names, begin, caplog):
+async def test_a_question_that_is_cancelled_is_withdrawn_and_its_late_answer_ignored(ros, name, begin, caplog):
     caplog.set_level("INFO")
-    name = names()
     process = await asyncio.to_thread(begin, "remote_sources", "person", name, "late")
     person = Ros2Person(ros, name, limit=LIMIT)
     asking = asyncio.ensure_future(person.query(about("shop", Layer.PERSON), ME))
@@ -179,9 +163,7 @@ async def test_a_question_that_is_cancelled_is_withdrawn_and_its_late_answer_ign
     await person.close()
 
 
-@bounded
-async def test_answers_that_are_none_leave_the_question_open(ros, names, begin, caplog):
-    name = names()
+async def test_answers_that_are_none_leave_the_question_open(ros, name, begin, caplog):
     await asyncio.to_thread(begin, "remote_sources", "person", name, "wrong")
     person = Ros2Person(ros, name, limit=LIMIT)
     assert await person.query(about("shop", Layer.PERSON), ME) is MISSING, "the first that says something counts"
@@ -189,9 +171,7 @@ async def test_answers_that_are_none_leave_the_question_open(ros, names, begin, 
     assert f"ignored an answer on {name}/answers: '[1' is not JSON" in caplog.text
 
 
-@bounded
-async def test_both_by_name(ros, names):
-    name = names()
+async def test_both_by_name(ros, name):
     choices = [SourceChoice("ros2", {"name": name, "limit": 0.2}), SourceChoice("topics", {"name": name, "limit": 0.2})]
     sources = open_sources(choices, Surroundings(ros))
     assert repr(sources) == f"<Sources <Ros2Knowledge {name}>; <Ros2Person {name}, 0 questions open>>"

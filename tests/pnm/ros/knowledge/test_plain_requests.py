@@ -16,7 +16,6 @@ from pnm.ros.knowledge import KnowledgeServices, may_be_ours, service_prefix
 from pnm.ros.node.services import ServiceClient
 from tests.support.logic.people import Person
 from tests.support.processes import LIMIT
-from tests.support.ros.child_process import bounded
 from tests.support.ros.fake_executor import FakeExecutor, fake_executor
 
 
@@ -44,7 +43,6 @@ async def requests(one: FakeExecutor, goals: int = 1, service: str = "query") ->
     ],
     ids=lambda value: str(value)[:40],
 )
-@bounded
 async def test_a_query_that_cannot_be_answered_is_refused(ros, fields, said):
     class Buggy(MemoryKnowledge):
         async def query(self, question, asker, /):
@@ -59,7 +57,6 @@ async def test_a_query_that_cannot_be_answered_is_refused(ros, fields, said):
         assert (answer.success, answer.found, answer.value, answer.message) == (True, False, "", "")
 
 
-@bounded
 async def test_who_repeats_a_question_to_a_person_gets_the_same_answer(ros):
     person = Person()
     async with fake_executor(ros, person=person) as one, requests(one, 2) as (goals, ask):
@@ -83,7 +80,6 @@ async def test_who_repeats_a_question_to_a_person_gets_the_same_answer(ros):
         assert {answer.message for answer in await asyncio.gather(*same)} == {"the goal is over, or the executive ends"}
 
 
-@bounded
 async def test_an_update_with_what_is_no_json_is_refused(ros):
     async with fake_executor(ros) as one, requests(one, service="update") as (_, tell):
         for value in ("", "kitchen", "NaN"):
@@ -93,7 +89,6 @@ async def test_an_update_with_what_is_no_json_is_refused(ros):
         assert one.local.variables() == {}
 
 
-@bounded
 async def test_closing_refuses_what_is_still_being_asked(ros):
     person = Person()
     one = FakeExecutor(ros, Sources([MemoryKnowledge()], person))
@@ -107,11 +102,9 @@ async def test_closing_refuses_what_is_still_being_asked(ros):
         assert person.withdrawn.get_nowait() == "spam"
 
 
-@bounded
-async def test_an_executive_whose_loop_has_ended_refuses(ros, names):
+async def test_an_executive_whose_loop_has_ended_refuses(ros, name):
     loop = asyncio.new_event_loop()
     loop.close()
-    name = names()
     services = KnowledgeServices(ros, loop, name, lambda goal: None, Sources())
     await services.open()
     client = ServiceClient(ros, "pnm_interfaces/srv/QueryKnowledge", f"{name}/query")

@@ -19,7 +19,7 @@ from pnm.ros.node.lifecycle import Lifecycle, check_alone
 from pnm.ros.node.parameters import NodeParameter, declare
 from pnm.ros.node.ros_thread import RosThread
 from tests.support.processes import LIMIT
-from tests.support.ros.child_process import bounded, run_bounded
+from tests.support.ros.child_process import Within, run_bounded
 from tests.support.ros.task_client import TaskClient
 
 NUMBERS = count()
@@ -96,21 +96,23 @@ async def managed_node() -> AsyncIterator[ManagedNode]:
             await one.lifecycle.close()
 
 
-@bounded
-async def test_a_node_goes_through_its_states_and_ends():
-    async with managed_node() as one:
-        states = [await one.state()]
-        for wanted in ("configure", "activate", "deactivate", 3, 4, "cleanup", 1, "shutdown"):
-            assert await one.ask(wanted), wanted
-            states.append(await one.state())
-        assert states == [
-            "unconfigured", "inactive", "active", "inactive", "active", "inactive", "unconfigured", "inactive", "finalized",
-        ]  # fmt: skip
-        await asyncio.wait_for(one.lifecycle.finalized.wait(), LIMIT)
-        assert one.work.done[-3:] == ["cleanup", "configure", "cleanup"]
+@pytest.fixture
+def one() -> Within:
+    return Within(managed_node())
 
 
-@bounded
+async def test_a_node_goes_through_its_states_and_ends(one):
+    states = [await one.state()]
+    for wanted in ("configure", "activate", "deactivate", 3, 4, "cleanup", 1, "shutdown"):
+        assert await one.ask(wanted), wanted
+        states.append(await one.state())
+    assert states == [
+        "unconfigured", "inactive", "active", "inactive", "active", "inactive", "unconfigured", "inactive", "finalized",
+    ]  # fmt: skip
+    await asyncio.wait_for(one.lifecycle.finalized.wait(), LIMIT)
+    assert one.work.done[-3:] == ["cleanup", "configure", "cleanup"]
+
+
 async def test_what_cannot_be_done_in_a_state_is_refused(caplog):
     async with managed_node() as one:
         for label in ("activate", "deactivate", "cleanup", "on_configure_success", "transition_success", "spam", ""):
@@ -120,7 +122,6 @@ async def test_what_cannot_be_done_in_a_state_is_refused(caplog):
     assert caplog.text.count("cannot be made: the node is unconfigured; expected one of configure, shutdown") == 7
 
 
-@bounded
 async def test_a_transition_that_fails_says_why_and_leaves_the_state(caplog):
     async with managed_node() as one:
         one.work.wrong["configure"] = InputError("problem.pddl:1:1: expected (define")
@@ -134,7 +135,6 @@ async def test_a_transition_that_fails_says_why_and_leaves_the_state(caplog):
     assert "the transition activate has failed: not now" in caplog.text
 
 
-@bounded
 async def test_an_error_of_ours_cleans_up(caplog):
     async with managed_node() as one:
         assert await one.ask("configure")
@@ -146,54 +146,47 @@ async def test_an_error_of_ours_cleans_up(caplog):
     assert "a bug" in caplog.text
 
 
-@bounded
-async def test_one_transition_at_a_time_and_the_node_goes_on_answering():
-    async with managed_node() as one:
-        go_on = one.work.slow["configure"] = asyncio.Event()
-        asked = asyncio.ensure_future(one.ask("configure"))
-        await one.work.begun.wait()
-        assert await one.state() == "configuring"
-        for label in ("configure", "shutdown", "transition_success"):
-            assert not await one.ask(label)
-        with pytest.raises(RosError, match="the node is configuring; wait until that is over"):
-            await one.lifecycle.change("activate")
-        go_on.set()
-        assert await asked
-        assert await one.state() == "inactive"
+async def test_one_transition_at_a_time_and_the_node_goes_on_answering(one):
+    go_on = one.work.slow["configure"] = asyncio.Event()
+    asked = asyncio.ensure_future(one.ask("configure"))
+    await one.work.begun.wait()
+    assert await one.state() == "configuring"
+    for label in ("configure", "shutdown", "transition_success"):
+        assert not await one.ask(label)
+    with pytest.raises(RosError, match="the node is configuring; wait until that is over"):
+        await one.lifecycle.change("activate")
+    go_on.set()
+    assert await asked
+    assert await one.state() == "inactive"
 
 
-@bounded
-async def test_closing_in_the_middle_of_a_transition_cleans_up():
-    async with managed_node() as one:
-        one.work.slow["configure"] = asyncio.Event()
-        asked = asyncio.ensure_future(one.ask("configure"))
-        await one.work.begun.wait()
-        await one.lifecycle.close()
-        assert not await asked
-        assert one.work.done[-1] == "cleanup"
-        assert await one.state() == "finalized"
+async def test_closing_in_the_middle_of_a_transition_cleans_up(one):
+    one.work.slow["configure"] = asyncio.Event()
+    asked = asyncio.ensure_future(one.ask("configure"))
+    await one.work.begun.wait()
+    await one.lifecycle.close()
+    assert not await asked
+    assert one.work.done[-1] == "cleanup"
+    assert await one.state() == "finalized"
 
 
-@bounded
-async def test_a_transition_that_is_cancelled_when_it_is_done_comes_to_its_end():
-    async with managed_node() as one:
-        await one.lifecycle.change("configure")
-        go, busy = one.work.slow.setdefault("activate", asyncio.Event()), threading.Event()
-        one.work.begun.clear()
-        activating = asyncio.create_task(one.lifecycle.change("activate"))
-        await one.work.begun.wait()
-        one.ros.call(lambda: busy.wait(LIMIT))
-        go.set()
-        for _ in range(5):
-            await asyncio.sleep(0)
-        activating.cancel()  # as a signal does in the moment in which the node says that it is ready
-        await asyncio.wait((activating,))
-        busy.set()
-        await one.lifecycle.change("deactivate")
+async def test_a_transition_that_is_cancelled_when_it_is_done_comes_to_its_end(one):
+    await one.lifecycle.change("configure")
+    go, busy = one.work.slow.setdefault("activate", asyncio.Event()), threading.Event()
+    one.work.begun.clear()
+    activating = asyncio.create_task(one.lifecycle.change("activate"))
+    await one.work.begun.wait()
+    one.ros.call(lambda: busy.wait(LIMIT))
+    go.set()
+    for _ in range(5):
+        await asyncio.sleep(0)
+    activating.cancel()  # as a signal does in the moment in which the node says that it is ready
+    await asyncio.wait((activating,))
+    busy.set()
+    await one.lifecycle.change("deactivate")
 
 
 @pytest.mark.parametrize("count", [2, 3])
-@bounded
 async def test_of_nodes_of_a_name_that_start_at_the_same_time_the_first_goes_on(count):
     with ExitStack() as cleanup:
         nodes = [RosThread("twin", namespace=f"twins{count}", managed=True) for _ in range(count)]
@@ -264,7 +257,6 @@ def test_a_parameter_that_is_not_there_is_warned_about_with_the_nearest_name(cap
 
 
 @pytest.mark.parametrize("is_option", [True, False])
-@bounded
 async def test_a_password_is_used_and_not_shown_to_the_nodes_of_the_domain(is_option):
     url = "postgresql://ada:sekret@database/fleet"
     async with RosThread("secretive", args=() if is_option else ["--ros-args", "-p", f"journal:={url}"]) as ros:

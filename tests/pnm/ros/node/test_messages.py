@@ -14,7 +14,7 @@ from test_msgs import msg
 from test_msgs.action import Fibonacci, NestedMessage
 
 from pnm.errors import InputError
-from pnm.ros.node.messages import FieldError, fields, import_type, to_data, to_message
+from pnm.ros.node.messages import FieldError, import_type, to_data, to_message
 
 
 def over_the_wire(message):
@@ -153,11 +153,6 @@ def test_an_unknown_field_is_refused_with_those_there_are(kind, name, said):
     with pytest.raises(FieldError) as caught:
         to_message(kind, {name: 1})
     assert said in str(caught.value)
-
-
-def test_fields_and_types_by_name():
-    assert fields(import_type("test_msgs/action/Fibonacci").Goal) == ("order",)
-    assert fields(msg.Empty) == ()
 
 
 @pytest.mark.parametrize(

@@ -18,13 +18,6 @@ from pnm.ros.node.ros_thread import RosThread
 from tests.support.processes import LIMIT
 
 
-def test_functions_run_on_the_thread_in_order(ros):
-    seen = []
-    ros.call(lambda: seen.append("first"))
-    assert ros.submit(lambda: seen.append("second") or threading.current_thread().name).result(LIMIT) == "ros"
-    assert seen == ["first", "second"]
-
-
 def test_the_thread_is_woken_for_every_function_that_it_has_not_seen(ros):
     """Several threads, each of which goes on when its function was run: a wake-up that is left out would leave one waiting."""
     seen = []
@@ -71,12 +64,6 @@ def test_a_callback_that_fails_does_not_end_the_thread(ros, caplog):
     assert fired.wait(LIMIT)
     ros.submit(timer.destroy).result(LIMIT)
     assert "a ROS 2 callback failed" in caplog.text
-
-
-def test_namespace_and_remapping():
-    thread = RosThread("one", namespace="r1", args=["--ros-args", "-r", "move:=drive"])
-    assert thread.submit(lambda: thread.node.resolve_topic_name("move")).result(LIMIT) == "/r1/drive"
-    assert thread.close()
 
 
 def test_close_runs_what_waits_and_may_be_repeated():

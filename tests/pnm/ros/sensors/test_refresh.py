@@ -16,7 +16,6 @@ from pnm.core.logic.expressions import UNKNOWN
 from pnm.ros.node.messages import import_type, to_message
 from pnm.ros.node.ros_thread import profile
 from pnm.ros.node.services import until_true
-from tests.support.ros.child_process import bounded
 from tests.support.ros.listening import becomes, opened
 
 # --- services ---
@@ -28,7 +27,6 @@ def offered(name: str, **options: object) -> dict[str, object]:
     return {"service": name, "type": KIND, "fields": {"bool_value": True, "float64_value": 0.5}, **options}
 
 
-@bounded
 async def test_a_service_that_is_never_polled_is_asked_for_every_reason_and_no_more(ros, names, sensing, sensors):
     name, polled = names(), names()
     await asyncio.to_thread(sensors, offered(name), offered(polled))
@@ -50,9 +48,7 @@ async def test_a_service_that_is_never_polled_is_asked_for_every_reason_and_no_m
             assert world.value(("battery", "r1")) == 9.0
 
 
-@bounded
-async def test_a_dead_service_makes_unknown_what_it_reports_once_it_is_asked(ros, names, sensing, sensors, caplog):
-    name = names()
+async def test_a_dead_service_makes_unknown_what_it_reports_once_it_is_asked(ros, name, names, sensing, sensors, caplog):
     process = await asyncio.to_thread(sensors, offered(name))
     file = sensing(f"""
         sensors:
@@ -70,9 +66,7 @@ async def test_a_dead_service_makes_unknown_what_it_reports_once_it_is_asked(ros
     assert f"nothing was heard on {name} for 0.3 s; its facts are unknown" in caplog.text
 
 
-@bounded
-async def test_a_refresh_ends_although_a_service_is_not_there_does_not_answer_or_does_not_fit(ros, names, sensing, sensors):
-    name = names()
+async def test_a_refresh_ends_although_a_service_is_not_there_does_not_answer_or_does_not_fit(ros, name, names, sensing, sensors):
     await asyncio.to_thread(sensors, offered(name, deaf=True))
     await until_true(ros, lambda: ros.node.count_services(name))
     file = sensing(f"""
@@ -112,7 +106,6 @@ async def published(ros, name, sensing, *, lag: float, latched: bool = False):
     await ros.ask(lambda: ros.node.destroy_publisher(publisher))
 
 
-@bounded
 async def test_a_topic_is_waited_for_that_has_said_nothing_since_an_action_has_ended(ros, names, sensing):
     async with published(ros, names(), sensing, lag=1000.0) as (listener, say):
         await listener.refresh()
@@ -131,7 +124,6 @@ async def test_a_topic_is_waited_for_that_has_said_nothing_since_an_action_has_e
         await listener.refresh()
 
 
-@bounded
 @pytest.mark.parametrize(("lag", "latched"), [(0.05, False), (1000.0, True)])
 async def test_no_longer_than_its_lag_and_not_if_it_is_latched(ros, names, sensing, lag, latched):
     async with published(ros, names(), sensing, lag=lag, latched=latched) as (listener, _):

@@ -19,16 +19,14 @@ from pnm.ros.node.messages import import_type
 from pnm.ros.node.services import until_true
 from pnm.ros.sensors import Sensors
 from tests.support.pddl.sensed_world import DOMAIN
-from tests.support.ros.child_process import bounded, run_bounded
+from tests.support.ros.child_process import run_bounded
 from tests.support.ros.listening import becomes, listening
 
 BASIC = "test_msgs/msg/BasicTypes"
 
 
-@bounded
-async def test_publishers_of_every_kind_are_heard(ros, names, sensing, sensors):
+async def test_publishers_of_every_kind_are_heard(ros, name, sensing, sensors):
     robots = {"r1": (True, True), "r_2": (False, False), "a1": (True, False)}
-    name = names()
     told = [
         {"topic": f"{name}/{robot}", "type": BASIC, "fields": {"float64_value": number}, "reliable": reliable, "latched": latched}
         for number, (robot, (reliable, latched)) in enumerate(robots.items())
@@ -46,9 +44,7 @@ async def test_publishers_of_every_kind_are_heard(ros, names, sensing, sensors):
         assert (world.lag(["battery"]), world.lag(["dark"]), world.is_sensed(("at", "r1", "hall"))) == (3.0, 1.0, False)
 
 
-@bounded
-async def test_of_a_publisher_that_is_killed_nothing_is_known_any_more(ros, names, sensing, sensors, caplog):
-    name = names()
+async def test_of_a_publisher_that_is_killed_nothing_is_known_any_more(ros, name, sensing, sensors, caplog):
     published = {"topic": name, "type": "test_msgs/msg/Strings", "fields": {"string_value": "A1"}}
     file = sensing(f"""
         stale: 1.0
@@ -76,9 +72,7 @@ async def test_of_a_publisher_that_is_killed_nothing_is_known_any_more(ros, name
     assert f"nothing was heard on {name} for 1 s; its facts are unknown" in caplog.text
 
 
-@bounded
-async def test_what_cannot_be_read_is_unknown_with_one_warning(ros, names, sensing, sensors, caplog):
-    name = names()
+async def test_what_cannot_be_read_is_unknown_with_one_warning(ros, name, sensing, sensors, caplog):
     sensors({"topic": name, "type": "test_msgs/msg/UnboundedSequences", "fields": {"float64_values": [1.0, math.nan]}})
     file = sensing(f"""
         sensors:
@@ -97,9 +91,7 @@ async def test_what_cannot_be_read_is_unknown_with_one_warning(ros, names, sensi
     assert caplog.text.count(f"{name}: there is no float64_values[2]: the list has 2 items; (battery a1) is unknown") == 1
 
 
-@bounded
-async def test_a_topic_without_the_field_or_that_we_already_use_with_another_type_is_refused(ros, names, sensing, sensors):
-    name = names()
+async def test_a_topic_without_the_field_or_that_we_already_use_with_another_type_is_refused(ros, name, sensing, sensors):
     sensors({"topic": name, "type": BASIC, "fields": {"bool_value": True}})
     text = f"sensors: [{{topic: {name}, facts: [{{fact: (dark), field: bool_value}}]}}]"
 
@@ -146,7 +138,6 @@ def test_services_are_polled_and_unknown_when_they_do_not_answer(ros, names, sen
     assert all(one != other for one, other in pairwise(warnings)), "the same is not said again and again"
 
 
-@bounded
 async def test_nobody_is_waited_for_who_is_not_there(ros, sensing, caplog):
     async with listening(ros, sensing("sensors: [{topic: nobody, facts: [{fact: (dark), field: x}]}]")) as world:
         assert world.facts() == {}
@@ -154,7 +145,6 @@ async def test_nobody_is_waited_for_who_is_not_there(ros, sensing, caplog):
     assert "never retrieved" not in caplog.text
 
 
-@bounded
 async def test_what_cannot_be_listened_to_is_refused(ros, sensing):
     for text, said in {
         "topic: t, type: spam_msgs/msg/Eggs, facts: [{fact: (dark)}]": "1:11: the ROS type spam_msgs/msg/Eggs is not installed",
@@ -169,9 +159,7 @@ async def test_what_cannot_be_listened_to_is_refused(ros, sensing):
         Sensors(ros, sensing("sensors: [{topic: t, facts: [{fact: (dark)}]}]"), KnowledgeBase(rules=rules), 1.0)
 
 
-@bounded
-async def test_publishers_of_another_type_are_ignored(ros, names, sensing, sensors, caplog):
-    name = names()
+async def test_publishers_of_another_type_are_ignored(ros, name, sensing, sensors, caplog):
     sensors({"topic": name, "type": "test_msgs/msg/Strings", "fields": {"string_value": "hall"}})
     sensors({"topic": name, "type": BASIC, "fields": {"bool_value": True}})
     file = sensing(f"sensors: [{{topic: {name}, type: {BASIC}, facts: [{{fact: (dark), field: bool_value}}]}}]")

@@ -18,7 +18,6 @@ from pnm.ros.node.messages import to_message
 from pnm.ros.node.ros_thread import profile
 from pnm.ros.sensors import TOPIC, SensedReports, read_state, write_state
 from tests.support.processes import LIMIT
-from tests.support.ros.child_process import bounded
 
 FACTS = {
     ("at", "r1", "hall"): True,
@@ -33,7 +32,6 @@ def ignore(*_):
     pass
 
 
-@bounded
 async def test_a_report_is_handed_on_and_recorded(ros, sensors):
     report = {"names": ["at", "battery"], "facts": ["(at r1 hall)"], "fluents": ["(battery r1)"], "values": [80.0], "sequence": 7}
     world = KnowledgeBase({("at", "r1", "kitchen"): True})
@@ -52,7 +50,6 @@ async def test_a_report_is_handed_on_and_recorded(ros, sensors):
     assert world.facts() == {("at", "r1", "hall"): True, ("battery", "r1"): 80.0}
 
 
-@bounded
 async def test_who_comes_late_hears_the_last_report_of_a_simulation_and_no_earlier_one(ros):
     heard = []
     world = SimulatedWorld(KnowledgeBase({("at", "r1", "a"): True}), ["at"])
@@ -71,7 +68,6 @@ async def test_who_comes_late_hears_the_last_report_of_a_simulation_and_no_earli
     assert heard == [{("at", "r1", "c")}, {("at", "r1", "d")}]
 
 
-@bounded
 async def test_nobody_who_reports_is_not_waited_for(ros):
     sensing = SensedReports(ros, asyncio.get_running_loop(), ignore, ignore, topic="nobody/reports")
     await ros.settled()
@@ -81,7 +77,6 @@ async def test_nobody_who_reports_is_not_waited_for(ros):
     sensing.close()
 
 
-@bounded
 async def test_a_malformed_report_is_refused_with_its_names_and_the_reason(ros):
     heard, refused, topic = [], [], "knowledge/malformed"
     sensing = SensedReports(

@@ -6,12 +6,10 @@ import asyncio
 from uuid import UUID, uuid4
 
 from pnm.tasks import Code
-from tests.support.ros.child_process import bounded
 from tests.support.ros.serving_node import serving_node
 from tests.support.ros.task_client import ABORTED, SUCCEEDED, TaskClient
 
 
-@bounded
 async def test_a_goal_while_the_node_is_inactive_is_rejected_and_a_later_one_is_not(two):
     async with serving_node(two, is_active=False) as one:
         for action in ("achieve_goal", "execute_plan", "plan"):
@@ -41,52 +39,43 @@ WRONG = (
 )
 
 
-@bounded
-async def test_what_is_wrong_with_a_goal_is_in_its_result(two):
-    async with serving_node(two) as one:
-        for action, goal, said in WRONG:
-            status, result = await (await one.client.send(action, **goal)).result()
-            assert (status, result["code"], result["reason"]) == (ABORTED, Code.INVALID_GOAL, "invalid_goal")
-            assert said in result["message"]
-        assert not one.tasks.open
+async def test_what_is_wrong_with_a_goal_is_in_its_result(one):
+    for action, goal, said in WRONG:
+        status, result = await (await one.client.send(action, **goal)).result()
+        assert (status, result["code"], result["reason"]) == (ABORTED, Code.INVALID_GOAL, "invalid_goal")
+        assert said in result["message"]
+    assert not one.tasks.open
 
 
-@bounded
-async def test_a_goal_that_takes_long_to_read_holds_up_no_other(two):
-    async with serving_node(two) as one:
-        await one.client.meet("execute_plan")
-        long = f"{{a: [{'1,' * 40_000}]}}"
-        sending = asyncio.ensure_future(one.client.send("execute_plan", plan="goal_reached", parameters=long))
-        await asyncio.sleep(0)  # it is sent
-        quick = await one.goal("goal_reached")
-        slow = await sending
-        await asyncio.gather(slow.result(), quick.result())
-        assert [wanted.id for wanted in one.tasks.wanted] == [quick.id, slow.id]
+async def test_a_goal_that_takes_long_to_read_holds_up_no_other(one):
+    await one.client.meet("execute_plan")
+    long = f"{{a: [{'1,' * 40_000}]}}"
+    sending = asyncio.ensure_future(one.client.send("execute_plan", plan="goal_reached", parameters=long))
+    await asyncio.sleep(0)  # it is sent
+    quick = await one.goal("goal_reached")
+    slow = await sending
+    await asyncio.gather(slow.result(), quick.result())
+    assert [wanted.id for wanted in one.tasks.wanted] == [quick.id, slow.id]
 
 
-@bounded
-async def test_every_code_arrives_and_only_one_is_a_success(two):
-    async with serving_node(two) as one:
-        goals = {code: await one.goal(code.word) for code in Code}
-        for code, goal in goals.items():
-            status, result = await goal.result()
-            assert status == (SUCCEEDED if code is Code.GOAL_REACHED else ABORTED), code
-            assert (result["code"], result["reason"], result["message"]) == (code, code.word, f"as it was told: {code.word}")
+async def test_every_code_arrives_and_only_one_is_a_success(one):
+    goals = {code: await one.goal(code.word) for code in Code}
+    for code, goal in goals.items():
+        status, result = await goal.result()
+        assert status == (SUCCEEDED if code is Code.GOAL_REACHED else ABORTED), code
+        assert (result["code"], result["reason"], result["message"]) == (code, code.word, f"as it was told: {code.word}")
 
 
-@bounded
-async def test_an_id_is_that_of_one_task_only(two):
-    async with serving_node(two) as one:
-        first = await one.goal("running")
-        for action, id, fields in (("execute_plan", first.id, {"plan": "running"}), ("achieve_goal", UUID(int=0), {"goal": "running"})):
-            status, result = await (await one.client.send(action, id, **fields)).result()
-            assert (status, result["code"]) == (ABORTED, Code.INVALID_GOAL)
-            assert "is that of another task, or of none" in result["message"]
-        one.tasks.end(first.id, Code.GOAL_REACHED)
-        assert (await first.result())[0] == SUCCEEDED
+async def test_an_id_is_that_of_one_task_only(one):
+    first = await one.goal("running")
+    for action, id, fields in (("execute_plan", first.id, {"plan": "running"}), ("achieve_goal", UUID(int=0), {"goal": "running"})):
+        status, result = await (await one.client.send(action, id, **fields)).result()
+        assert (status, result["code"]) == (ABORTED, Code.INVALID_GOAL)
+        assert "is that of another task, or of none" in result["message"]
+    one.tasks.end(first.id, Code.GOAL_REACHED)
+    assert (await first.result())[0] == SUCCEEDED
 
 
-@bounded
 async def test_a_failure_inside_is_a_result_too(two, caplog):
     async with serving_node(two) as one:
         one.tasks.begin = None  # type: ignore[method-assign,assignment]
@@ -96,40 +85,33 @@ async def test_a_failure_inside_is_a_result_too(two, caplog):
     assert "a task cannot begin" in caplog.text
 
 
-@bounded
-async def test_requests_about_tasks_that_are_unknown_or_not_paused_are_refused(two):
-    async with serving_node(two) as one:
-        for service, id, said in (
-            *((service, uuid4(), "there is no task {}") for service in ("pause", "resume", "cancel")),
-            ("resume", (await one.goal("running")).id, "the task {} is not paused"),
-        ):
-            answer = await one.client.call(f"executor/{service}", task=id)
-            assert answer == {"success": False, "message": said.format(id)}
+async def test_requests_about_tasks_that_are_unknown_or_not_paused_are_refused(one):
+    for service, id, said in (
+        *((service, uuid4(), "there is no task {}") for service in ("pause", "resume", "cancel")),
+        ("resume", (await one.goal("running")).id, "the task {} is not paused"),
+    ):
+        answer = await one.client.call(f"executor/{service}", task=id)
+        assert answer == {"success": False, "message": said.format(id)}
 
 
-@bounded
-async def test_a_client_that_disappears_leaves_its_goal_behind(two):
-    async with serving_node(two) as one:
-        goal = await one.goal("running")
-        await one.client.close()
-        one.client = TaskClient(two[1])
-        assert goal.id in one.tasks.open
-        one.tasks.end(goal.id, Code.GOAL_REACHED)
-        assert (await one.ended("goal_reached"))[0] == SUCCEEDED
-        assert repr(one.node._servers) == "<TaskServers 0 goals>"
+async def test_a_client_that_disappears_leaves_its_goal_behind(one, two):
+    goal = await one.goal("running")
+    await one.client.close()
+    one.client = TaskClient(two[1])
+    assert goal.id in one.tasks.open
+    one.tasks.end(goal.id, Code.GOAL_REACHED)
+    assert (await one.ended("goal_reached"))[0] == SUCCEEDED
+    assert repr(one.node._servers) == "<TaskServers 0 goals>"
 
 
-@bounded
-async def test_closing_cancels_everything_and_answers_everybody(two):
-    async with serving_node(two) as one:
-        goals = [await one.goal(text) for text in ("running", "queued")] + [await one.client.send("plan", goal="planning")]
-        await one.node.close(5.0)
-        for goal in goals:
-            status, result = await goal.result()
-            assert (status, result["code"]) == (ABORTED, Code.CANCELLED), "nobody has asked for it"
+async def test_closing_cancels_everything_and_answers_everybody(one):
+    goals = [await one.goal(text) for text in ("running", "queued")] + [await one.client.send("plan", goal="planning")]
+    await one.node.close(5.0)
+    for goal in goals:
+        status, result = await goal.result()
+        assert (status, result["code"]) == (ABORTED, Code.CANCELLED), "nobody has asked for it"
 
 
-@bounded
 async def test_a_task_that_does_not_end_is_not_waited_for_without_end(two, caplog):
     async with serving_node(two) as one:
         goal = await one.goal("stubborn")
