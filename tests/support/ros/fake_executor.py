@@ -1,11 +1,10 @@
-"""The executor of a run as far as action servers see it: sends goals, and answers what they ask. Run as a module, it never answers."""
+"""The executor of a run as far as action servers see it: sends goals, and answers what they ask."""
 
 from __future__ import annotations
 
 import asyncio
 import json
 import os
-import sys
 from collections.abc import AsyncIterator, Sequence
 from contextlib import asynccontextmanager
 from dataclasses import dataclass, field
@@ -13,14 +12,12 @@ from typing import Any
 from uuid import UUID, uuid4, uuid5
 
 from pnm.core.knowledge_base import KnowledgeBase, Layered
-from pnm.core.logic.computed_values import Question
 from pnm.core.machine.bindings import Binding
 from pnm.core.machine.requests import Outcome, OutcomeKind
 from pnm.knowledge.source import Asker, MemoryKnowledge, Source
 from pnm.knowledge.sources import Sources
 from pnm.ros.knowledge import KnowledgeServices, service_prefix
 from pnm.ros.node.ros_thread import RosThread
-from tests.support.processes import say
 from tests.support.ros.recording_client import GROUND, RecordingClient, Sent
 
 
@@ -96,21 +93,3 @@ async def fake_executor(
         yield one
     finally:
         await one.close()
-
-
-class Never(MemoryKnowledge):
-    """Global knowledge that never answers; says so on the standard output when it is asked."""
-
-    async def query(self, question: Question, asker: Asker, /) -> object:
-        say("asked")
-        return await asyncio.get_running_loop().create_future()
-
-
-async def main(server: str) -> None:
-    async with fake_executor(RosThread("fake_executor"), [Never()]) as one:
-        say("ready")
-        await one.send(server, "query", "global", "spam", None, 3.0)
-
-
-if __name__ == "__main__":
-    asyncio.run(main(*sys.argv[1:]))

@@ -103,17 +103,6 @@ async def test_an_executive_is_asked_again_until_it_has_answered_once_but_told_o
     await one.close()
 
 
-def test_an_executive_that_is_killed_is_not_waited_for(names, begin):
-    server = begin("asking_server", names())
-    killed = begin("fake_executor", server.name)
-    assert killed.line() == "asked"
-    killed.kill()
-    said = json.loads(server.line())
-    assert said.startswith("/pnm_")
-    assert said.endswith("/query did not answer within 3 s")
-    assert OURS not in server.stop()
-
-
 async def test_a_global_source_that_never_answers_is_said_to_the_server(ros, server):
     class Never(MemoryKnowledge):
         async def query(self, question, asker, /):

@@ -7,7 +7,6 @@ from pathlib import Path
 
 from tests.support.e2e.deployment import RunProgram, SimulationProgram
 from tests.support.e2e.hosts.lan import HostsDeployment, Lan
-from tests.support.e2e.plan_deployment import Serving
 from tests.support.files import written
 from tests.support.processes import Program
 
@@ -95,13 +94,3 @@ class Survey(HostsDeployment):
         """Start a plan that was written by hand on the rover's host."""
         plan = str(written(self.folder / "plan.yaml", text))
         return self._started(Program, "rover", "planner_bridge", "run", "--plan", plan, "--actions", "ros2")
-
-    def serve(self, text: str) -> Serving:
-        """Serve a plan on the rover's host."""
-        str(written(self.folder / "served.yaml", text))
-        world = str(written(self.folder / "world.yaml", "{domain: served.yaml, plans: [served.yaml]}"))
-        return self._started(Serving, "rover", "planner_bridge", "serve", "--world", world)
-
-    def client(self, plan: str, parameters: str = "{}") -> Program:
-        """Send a goal to a plan that is served, from the rover's host."""
-        return self._started(Program, "rover", "tests.support.e2e.programs.client", "plan", plan, "", parameters)
