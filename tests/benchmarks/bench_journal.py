@@ -28,7 +28,6 @@ from planner_bridge.explanations.history import JournalHistory
 from planner_bridge.model.grounding import initial_knowledge
 from planner_bridge.model.problem import Problem
 from planner_bridge.model.world import robots_of
-from planner_bridge.pddl import parse_problem
 from planner_bridge.pipeline.loading import load
 from planner_bridge.tasks.replanning import Limits
 from planner_bridge.tasks.result import TASKS, Stopwatch
@@ -39,7 +38,6 @@ from pnm.actions.faults import Fault, FaultKind, Faults
 from pnm.clock import run_async, short_pauses
 from pnm.core.execution.machine_index import prepare
 from pnm.core.knowledge_base import KnowledgeBase
-from pnm.core.logic.conditions import Condition
 from pnm.core.machine.bindings import Bindings
 from pnm.core.machine.generate import generate
 from pnm.core.machine.machine import OnFailure
@@ -53,7 +51,7 @@ from pnm.language.runner import PlanRunner
 from pnm.tasks import Wanted
 from tests.support.e2e.page.busy_run import answered, executed, kept, rounds, with_journal, without_journal
 from tests.support.files import ROOT
-from tests.support.pddl.problems import fleet
+from tests.support.pddl.problems import fleet, read_goal
 from tests.support.runs.timing import FailureClock, seconds
 
 FIRINGS = 100_000
@@ -182,8 +180,7 @@ async def until_under_way(problem: Problem, file: Path, copy: Path | None = None
     client, knowledge = Silent(), replay.world if replay else initial_knowledge(problem)
     runner = PlanRunner({}, ClientBackend(client), knowledge, None, journal, replay)
     settings, limits = Settings(improve=0.0), TaskLimits(active=UNDER_WAY, queue=UNDER_WAY)
-    read = partial(goal_of, problem)
-    manager = TaskManager(problem, runner, settings, read, limits=limits)
+    manager = TaskManager(problem, runner, settings, partial(read_goal, problem), limits=limits)
     if replay:
         manager.restore(replay)
     else:
@@ -196,11 +193,6 @@ async def until_under_way(problem: Problem, file: Path, copy: Path | None = None
         with closing(sqlite3.connect(file)) as source, closing(sqlite3.connect(copy)) as target:
             source.backup(target)
     return took
-
-
-def goal_of(problem: Problem, text: str) -> Condition:
-    objects = " ".join(f"{name} - {kinds[0]}" for name, kinds in problem.own_objects.items())
-    return parse_problem(f"(define (problem q) (:domain fleet) (:objects {objects}) (:init) (:goal {text}))", problem.domain).goal
 
 
 def recoveries(folder: Path) -> None:

@@ -14,7 +14,7 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import IO, Any, Final, TypeVar
+from typing import IO, Any, Final, Self, TypeVar
 
 from tests.support.files import ROOT
 
@@ -133,6 +133,11 @@ class Program:
         assert result, f"it never happened: {self}"
         return result
 
+    def ready(self) -> Self:
+        """Wait until it says that it is ready."""
+        self.until(lambda: any(line.startswith("ready") for line in self.out))
+        return self
+
     def ended(self, limit: float = LIMIT) -> int:
         """Wait for the end and return the exit status; there must be no traceback in what was printed."""
         try:
@@ -142,10 +147,14 @@ class Program:
         self._heard_out()
         return status
 
-    def close(self) -> None:
-        """Kill it unless it has ended; either way there must be no traceback in what was printed."""
+    def kill(self) -> None:
+        """End it as a crash would."""
         self.process.kill()
         self.process.wait(LIMIT)
+
+    def close(self) -> None:
+        """Kill it unless it has ended; either way there must be no traceback in what was printed."""
+        self.kill()
         self._heard_out()
 
     def _heard_out(self) -> None:
@@ -161,6 +170,33 @@ class Program:
         return "\n".join((" ".join(self.arguments), "--- out", *self.out[-200:], "--- err", *self.err[-50:]))
 
 
+P = TypeVar("P", bound=Program)
+
+
+class Deployment:
+    """Processes that end together.
+
+    Args:
+        folder: for their files.
+        environment: what is added to that of each.
+    """
+
+    def __init__(self, folder: Path, environment: Mapping[str, str]) -> None:
+        self.folder = folder
+        self.environment = dict(environment)
+        self._programs: list[Program] = []
+
+    def start(self, program: P) -> P:
+        """Have a program end with the deployment."""
+        self._programs.append(program)
+        return program
+
+    def close(self) -> None:
+        """End all processes, those that are stopped as well."""
+        for program in self._programs:
+            program.close()
+
+
 def overlaps(events: Sequence[Mapping[str, Any]]) -> set[tuple[str, str]]:
     """Return the pairs of actions of which the second started while the first was going on."""
     going_on: list[str] = []
@@ -172,6 +208,11 @@ def overlaps(events: Sequence[Mapping[str, Any]]) -> set[tuple[str, str]]:
         elif event["event"] == "end" and event["action"] in going_on:
             going_on.remove(event["action"])
     return found
+
+
+def clashes(events: Sequence[Mapping[str, Any]]) -> set[tuple[str, str]]:
+    """Return those of these pairs in which one robot carries out both."""
+    return {pair for pair in overlaps(events) if len({action.partition("(")[2].partition(",")[0] for action in pair}) == 1}
 
 
 def say(line: str) -> None:

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 from planner_bridge.model.grounding import initial_knowledge
 from planner_bridge.model.problem import Problem
@@ -15,7 +15,7 @@ from planner_bridge.pipeline.loading import load
 from pnm.core.knowledge_base import KnowledgeBase, parse_statement
 from pnm.core.logic.conditions import evaluate
 from tests.support.files import ROOT, written
-from tests.support.processes import LIMIT, Program
+from tests.support.processes import LIMIT, Deployment, Program
 
 QUICK = """<?xml version="1.0" encoding="UTF-8"?>
 <profiles xmlns="http://www.eprosima.com/XMLSchemas/fastRTPS_Profiles">
@@ -28,9 +28,6 @@ QUICK = """<?xml version="1.0" encoding="UTF-8"?>
 """
 
 
-P = TypeVar("P", bound=Program)
-
-
 @dataclass(frozen=True)
 class Finished:
     """A run that has ended, and the world after it."""
@@ -41,23 +38,17 @@ class Finished:
     truth: KnowledgeBase
 
 
-class SimulationProgram(Program):
-    """`pnm simulate`, which logs what truly happens to its standard output."""
+class Serving(Program):
+    """`pnm serve`, or another program that goes on until it is told to end."""
 
-    def ready(self) -> SimulationProgram:
-        """Wait until its servers are up."""
-        self.until(lambda: any(line.startswith("ready") for line in self.out))
-        return self
-
-    def kill(self) -> None:
-        """End it as a crash would."""
-        self.process.kill()
-        self.process.wait(LIMIT)
-
-    def stop(self) -> None:
+    def stop(self, number: int = signal.SIGTERM) -> None:
         """End it in order."""
-        self.process.send_signal(signal.SIGTERM)
+        self.process.send_signal(number)
         assert self.ended() == 0, str(self)
+
+
+class SimulationProgram(Serving):
+    """`pnm simulate`, which logs what truly happens to its standard output."""
 
     def happens(self, event: str, action: str, times: int = 1) -> None:
         """Wait until an action of this name has started or ended so often."""
@@ -75,7 +66,7 @@ class RunProgram(Program):
         return status, self.objects()[-1]
 
 
-class RosDomain:
+class RosDomain(Deployment):
     """A ROS domain of its own, and the processes in it.
 
     Args:
@@ -85,21 +76,15 @@ class RosDomain:
     """
 
     def __init__(self, folder: Path, ros_domain: int, *, quick: bool = False) -> None:
-        self.folder = folder
-        self.environment = {
+        environment = {
             "ROS_DOMAIN_ID": str(ros_domain),
             "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
             "FASTDDS_BUILTIN_TRANSPORTS": "UDPv4",  # killed processes would leave shared memory behind
             "XDG_STATE_HOME": str(folder / "state"),  # journals of nodes, with which no other deployment is to go on
         }
+        super().__init__(folder, environment)
         if quick:
             self.environment["FASTRTPS_DEFAULT_PROFILES_FILE"] = str(written(folder / "dds.xml", QUICK))
-        self._programs: list[Program] = []
-
-    def start(self, program: P) -> P:
-        """Have a program end with the deployment."""
-        self._programs.append(program)
-        return program
 
     def pnm(self, kind: type[P], *arguments: str, within: Sequence[str] = ()) -> P:
         """Start `pnm` with these arguments, by the command it is within if any."""
@@ -108,11 +93,6 @@ class RosDomain:
     def module(self, kind: type[P], name: str, *arguments: str, within: Sequence[str] = ()) -> P:
         """Start a module of Python."""
         return self.start(kind(["-m", name, *arguments], self.environment, within))
-
-    def close(self) -> None:
-        """End all processes."""
-        for program in self._programs:
-            program.close()
 
 
 class ProblemDeployment(RosDomain):

@@ -15,27 +15,8 @@ from tests.support.processes import Program
 SUCCEEDED, CANCELED, ABORTED = 4, 5, 6
 
 
-class Serving(Program):
-    """`pnm serve`."""
-
-    def ready(self) -> Serving:
-        """Wait until its servers are up."""
-        self.until(lambda: any(line.startswith("ready") for line in self.out))
-        return self
-
-    def stop(self, number: int = signal.SIGTERM) -> None:
-        """End it in order."""
-        self.process.send_signal(number)
-        assert self.ended() == 0, str(self)
-
-
 class Workers(Program):
     """Action servers that say what they do, a JSON object per line."""
-
-    def ready(self) -> Workers:
-        """Wait until they are up."""
-        self.until(lambda: "ready" in self.out)
-        return self
 
     def starts(self, server: str) -> list[Any]:
         """Return the values of the goals that a server has begun with, in order."""

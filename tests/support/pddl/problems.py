@@ -110,33 +110,47 @@ def tiles(width: int = 4, height: int = 4) -> Problem:
     )
 
 
-FLEET = """
+_FLEET = """
 (define (domain fleet)
-  (:requirements :strips :typing :negative-preconditions)
+  (:requirements :strips :typing :negative-preconditions{requires})
   (:types robot parcel room - object)
-  (:predicates (at ?r - robot ?a - room) (way ?a ?b - room) (in ?p - parcel ?a - room) (has ?r - robot ?p - parcel) (free ?r - robot))
+  (:predicates (at ?r - robot ?a - room) (way ?a ?b - room) (in ?p - parcel ?a - room) (has ?r - robot ?p - parcel) (free ?r - robot)){functions}
   (:action move :parameters (?r - robot ?a ?b - room)
     :precondition (and (at ?r ?a) (way ?a ?b))
-    :effect (and (not (at ?r ?a)) (at ?r ?b)))
+    :effect (and (not (at ?r ?a)) (at ?r ?b){moved}))
   (:action pick :parameters (?r - robot ?p - parcel ?a - room)
     :precondition (and (at ?r ?a) (in ?p ?a) (free ?r))
-    :effect (and (not (in ?p ?a)) (has ?r ?p) (not (free ?r))))
+    :effect (and (not (in ?p ?a)) (has ?r ?p) (not (free ?r)){picked}))
   (:action drop :parameters (?r - robot ?p - parcel ?a - room)
     :precondition (and (at ?r ?a) (has ?r ?p))
     :effect (and (in ?p ?a) (not (has ?r ?p)) (free ?r))))
 """
+_COUNTS = {
+    "requires": " :numeric-fluents",
+    "functions": " (:functions (moves ?r - robot) (picks ?p - parcel))",
+    "moved": " (increase (moves ?r) 1)",
+    "picked": " (increase (picks ?p) 1)",
+}
 
 
 def fleet(robots: int = 2, parcels: int = 4, places: int = 4, goal: str = "(and)") -> Problem:
     """Robots and parcels in rooms that lie around a court: each leads to the next one, and back."""
+    domain, problem = fleet_texts(robots, parcels, places, goal)
+    return parse_problem(problem, parse_domain(domain))
+
+
+def fleet_texts(robots: int, parcels: int, places: int, goal: str = "(and)", *, counts: bool = False) -> tuple[str, str]:
+    """Return that domain and problem; if it counts, what is done twice, or noted twice, is counted twice."""
     ring = [f"(way a{n} a{m})" for n in range(places) for m in ((n + 1) % places, (n - 1) % places)]
     init = [f"(at r{n} a{n % places}) (free r{n})" for n in range(robots)] + [f"(in p{n} a{n % places})" for n in range(parcels)]
+    if counts:
+        init += [f"(= (moves r{n}) 0)" for n in range(robots)] + [f"(= (picks p{n}) 0)" for n in range(parcels)]
     things = " ".join(
         f"{' '.join(f'{letter}{n}' for n in range(count))} - {kind}"
         for letter, count, kind in (("r", robots, "robot"), ("p", parcels, "parcel"), ("a", places, "room"))
     )
     text = f"(define (problem p) (:domain fleet) (:objects {things}) (:init {' '.join(dict.fromkeys(init + ring))}) (:goal {goal}))"
-    return parse_problem(text, parse_domain(FLEET))
+    return _FLEET.format(**(_COUNTS if counts else dict.fromkeys(_COUNTS, ""))), text
 
 
 def read_goal(problem: Problem, text: str) -> Condition:

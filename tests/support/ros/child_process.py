@@ -55,11 +55,6 @@ class ChildProcess(Program):
         self.until(lambda: len(self.out) >= self._read)
         return self.out[self._read - 1]
 
-    def kill(self) -> None:
-        """End it as a crash would."""
-        self.process.kill()
-        self.process.wait(LIMIT)
-
     def stop(self) -> str:
         """End it in order and return what it has said on the standard error.
 

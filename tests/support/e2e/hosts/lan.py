@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import shutil
-import signal
 import subprocess
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -14,7 +13,7 @@ from pathlib import Path
 from typing import Final, TypeVar
 
 from tests.support.files import written
-from tests.support.processes import Program
+from tests.support.processes import Deployment, Program
 
 P = TypeVar("P", bound=Program)
 
@@ -74,7 +73,7 @@ def lan(*hosts: str) -> Iterator[Lan]:
             subprocess.run(["ip", "netns", "delete", f"{made.name}-{name}"], capture_output=True, check=False)
 
 
-class HostsDeployment:
+class HostsDeployment(Deployment):
     """Programs on the hosts of a network, which end with it.
 
     Args:
@@ -83,27 +82,17 @@ class HostsDeployment:
     """
 
     def __init__(self, lan: Lan, folder: Path) -> None:
-        self.lan = lan
-        self.folder = folder
-        self._environment = {
+        environment = {
             "ROS_DOMAIN_ID": "0",  # the network is nobody else's
             "ROS_AUTOMATIC_DISCOVERY_RANGE": "SUBNET",
             "FASTDDS_BUILTIN_TRANSPORTS": "UDPv4",
             "FASTRTPS_DEFAULT_PROFILES_FILE": str(written(folder / "dds.xml", DDS)),
         }
-        self._programs: list[Program] = []
+        super().__init__(folder, environment)
+        self.lan = lan
 
     def _started(self, kind: type[P], host: str, *arguments: str) -> P:
-        program = kind(["-m", *arguments], self._environment, self.lan.host(host))
-        self._programs.append(program)
-        return program
-
-    def close(self) -> None:
-        """End all processes, those that are stopped as well."""
-        for program in self._programs:
-            if program.process.poll() is None:
-                program.process.send_signal(signal.SIGCONT)
-            program.close()
+        return self.start(kind(["-m", *arguments], self.environment, self.lan.host(host)))
 
 
 def _connect(made: Lan, host: str, address: str) -> None:

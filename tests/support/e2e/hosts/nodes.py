@@ -14,7 +14,7 @@ from tests.support.e2e.hosts.lan import HostsDeployment, Lan, lan
 from tests.support.e2e.hosts.postgres import PostgresServer
 from tests.support.e2e.plan_deployment import ClientProgram, Serving
 from tests.support.files import written
-from tests.support.processes import LIMIT, Program
+from tests.support.processes import LIMIT, Program, clashes
 
 DOMAIN: Final = """
 (define (domain patrol)
@@ -101,17 +101,7 @@ class Fleet(HostsDeployment):
 
     def clashes(self, since: int = 0) -> set[tuple[str, str]]:
         """Return the pairs of calls that a robot has carried out at the same time."""
-        doing: dict[str, str] = {}
-        found = set()
-        for event in self.robots.objects()[since:]:
-            if event["event"] in ("start", "end"):
-                robot = event["action"].partition("(")[2].partition(",")[0]
-                if event["event"] == "start":
-                    found |= {(doing[robot], event["action"])} if robot in doing else set()
-                    doing[robot] = event["action"]
-                elif doing.get(robot) == event["action"]:
-                    del doing[robot]
-        return found
+        return clashes(self.robots.objects()[since:])
 
     def __str__(self) -> str:
         return "\n\n".join(map(str, (self.robots, *self._programs[-4:])))

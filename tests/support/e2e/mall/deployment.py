@@ -40,7 +40,7 @@ class Mall(RosDomain):
         numbers = list(numbers)
         robot = self.start(Workers([str(DOMAIN / "robot.py"), SPEED], self.environment))
         node = self.pnm(Serving, "serve", *self._files())
-        robot.until(lambda: any(line.startswith("ready") for line in robot.out))
+        robot.ready()
         node.ready()
         scripts = str(written(self.folder / "scripts.json", file_of(numbers)))
         visitor = self.start(Program([str(DOMAIN / "visitor.py"), scripts], self.environment))

@@ -13,11 +13,11 @@ from typing import Any
 import rclpy
 from pnm_interfaces.action import EstimateTime
 from rclpy.action import CancelResponse
-from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
 
 from pnm.ros.action_server import KnowledgeError, PnmActionServer
-from tests.support.processes import say, say_event
+from tests.support.processes import say_event
+from tests.support.ros.child_process import spin
 
 
 class KnowingServers(Node):  # type: ignore[misc]
@@ -56,10 +56,7 @@ class KnowingServers(Node):  # type: ignore[misc]
 
 def main() -> None:
     rclpy.init()
-    node = KnowingServers()
-    say("ready")
-    with suppress(KeyboardInterrupt, ExternalShutdownException):
-        rclpy.spin(node)
+    spin(KnowingServers())
 
 
 if __name__ == "__main__":

@@ -5,26 +5,11 @@ dying_run.py COMMITS ARGUMENTS...    of `pnm run`
 
 from __future__ import annotations
 
-import os
-import signal
 import sys
-from collections.abc import Mapping, Sequence
 
 from planner_bridge.cli.commands import main
-from pnm.journal.store import JournalFile, Row
+from tests.support.tasks.kills.instants import AtCommit, die_in_journals
 
-commits = int(sys.argv.pop(1))
-append = JournalFile.append
-
-
-def append_and_die(self: JournalFile, rows: Sequence[Row], parts: Mapping[str, str]) -> None:
-    global commits
-    append(self, rows, parts)
-    commits -= 1
-    if commits == 0:
-        os.kill(os.getpid(), signal.SIGKILL)
-
-
-JournalFile.append = append_and_die  # type: ignore[method-assign]
+die_in_journals(AtCommit(int(sys.argv.pop(1)), before=False))
 sys.argv.insert(1, "run")
 main()

@@ -6,15 +6,14 @@ printed as a JSON object: what the servers say of it is the truth.
 
 from __future__ import annotations
 
-from contextlib import suppress
 from typing import Any
 
 import rclpy
 from rclpy.action import ActionServer
-from rclpy.executors import ExternalShutdownException
 from test_msgs.action import Fibonacci, NestedMessage
 
-from tests.support.processes import say, say_json
+from tests.support.processes import say_json
+from tests.support.ros.child_process import spin
 from tests.support.ros.server import fibonacci
 
 
@@ -35,10 +34,9 @@ def measure(handle: Any) -> NestedMessage.Result:
 def main() -> None:
     rclpy.init()
     node = rclpy.create_node("foreign")
-    servers = [ActionServer(node, Fibonacci, "count", count), ActionServer(node, NestedMessage, "measure", measure)]
-    say(f"ready: {len(servers)} servers")
-    with suppress(KeyboardInterrupt, ExternalShutdownException):
-        rclpy.spin(node)
+    ActionServer(node, Fibonacci, "count", count)
+    ActionServer(node, NestedMessage, "measure", measure)
+    spin(node)
 
 
 if __name__ == "__main__":

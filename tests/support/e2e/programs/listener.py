@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from contextlib import suppress
 from typing import Any
 
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
 from rcl_interfaces.msg import Log
-from rclpy.executors import ExternalShutdownException
 from rclpy.qos import DurabilityPolicy, QoSProfile
 
-from tests.support.processes import say, say_event
+from tests.support.processes import say_event
+from tests.support.ros.child_process import spin
 
 
 def log(message: Any) -> None:
@@ -30,9 +29,7 @@ def main() -> None:
     node = rclpy.create_node("listener", enable_rosout=False)
     node.create_subscription(Log, "/rosout", log, QoSProfile(depth=1000, durability=DurabilityPolicy.TRANSIENT_LOCAL))
     node.create_subscription(DiagnosticArray, "/diagnostics", diagnose, 10)
-    say("ready")
-    with suppress(KeyboardInterrupt, ExternalShutdownException):
-        rclpy.spin(node)
+    spin(node)
 
 
 if __name__ == "__main__":

@@ -15,16 +15,15 @@ from __future__ import annotations
 import sys
 import threading
 from collections.abc import Callable
-from contextlib import suppress
 from typing import Any
 
 import rclpy
 from pnm_interfaces.action import EstimateTime, Wait
 from rclpy.action import ActionServer, CancelResponse
 from rclpy.callback_groups import ReentrantCallbackGroup
-from rclpy.executors import ExternalShutdownException, MultiThreadedExecutor
 
-from tests.support.processes import say, say_event
+from tests.support.processes import say_event
+from tests.support.ros.child_process import spin
 
 
 def answering(server: str, more: int) -> Callable[[Any], Any]:
@@ -103,11 +102,7 @@ def main(*names: str) -> None:
     for wanted in names:
         name, kind, execute = KNOWN[wanted]
         ActionServer(node, kind, name, execute, callback_group=group, cancel_callback=refuse if name == "stubborn" else accept)
-    executor = MultiThreadedExecutor(8)
-    executor.add_node(node)
-    say("ready")
-    with suppress(KeyboardInterrupt, ExternalShutdownException):
-        executor.spin()
+    spin(node, threads=8)
 
 
 if __name__ == "__main__":

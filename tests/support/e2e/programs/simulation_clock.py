@@ -9,6 +9,8 @@ import rclpy
 from builtin_interfaces.msg import Time
 from rosgraph_msgs.msg import Clock
 
+from tests.support.ros.child_process import spin
+
 
 def main(speed: float) -> None:
     rclpy.init()
@@ -20,9 +22,7 @@ def main(speed: float) -> None:
         publisher.publish(Clock(clock=Time(sec=int(seconds), nanosec=int(seconds % 1.0 * 1e9))))
 
     node.create_timer(0.02, tick)
-    sys.stdout.write("ready\n")
-    sys.stdout.flush()
-    rclpy.spin(node)
+    spin(node)
 
 
 main(float(sys.argv[1]))

@@ -25,11 +25,11 @@ from pnm.journal.replay import Replay
 from pnm.journal.resume import replayed
 from pnm.tasks import Code
 from tests.support.e2e.deployment import ProblemDeployment, SimulationProgram
-from tests.support.processes import LIMIT, overlaps, ros_domain, until
+from tests.support.processes import LIMIT, clashes, ros_domain, until
 from tests.support.tasks.kills.campaign import Campaign, forks
 from tests.support.tasks.kills.instants import AtCommit, AtMessage, AtTime, Instant, die_in_journals
 from tests.support.tasks.kills.lives import Verdict
-from tests.support.tasks.kills.scenario import COURIERS, PLACES, ROBOTS, problem_text
+from tests.support.tasks.kills.scenario import PLACES, ROBOTS, TEXTS
 
 BINDINGS: Final = """
 actions:
@@ -183,8 +183,7 @@ def _complaints(true: Mapping[Fluent, Value | Unknown], replay: Replay, robots: 
         if started[action] > sent[action]
     ]
     wrong += [json.dumps(event) for event in events if event["event"] == "clash" or event.get("outcome", "succeeded") != "succeeded"]
-    both = [pair for pair in overlaps(events) if len({action.partition("(")[2].partition(",")[0] for action in pair}) == 1]
-    wrong += [f"{one} and {other} at the same time" for one, other in both]
+    wrong += [f"{one} and {other} at the same time" for one, other in clashes(events)]
     known = replay.world.facts()
     different = [fluent for fluent in known.keys() | true.keys() if known.get(fluent, False) != true.get(fluent, False)]
     wrong += [f"{fluent} is {true.get(fluent)}, known as {known.get(fluent)}" for fluent in different]
@@ -196,8 +195,7 @@ def _complaints(true: Mapping[Fluent, Value | Unknown], replay: Replay, robots: 
 
 def _carried_out(number: int, kills: int) -> Verdict:
     with TemporaryDirectory() as folder, ros_domain() as domain:
-        texts = COURIERS, problem_text("(and)")
-        deployment = ProblemDeployment("", Path(folder), domain, bindings=BINDINGS, speed="2", quick=True, texts=texts)
+        deployment = ProblemDeployment("", Path(folder), domain, bindings=BINDINGS, speed="2", quick=True, texts=TEXTS)
         node = Node(deployment, random.Random(number), kills)
         try:
             return node.carried_out()

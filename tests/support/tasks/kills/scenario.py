@@ -8,7 +8,7 @@ from functools import cached_property
 from typing import Final
 from uuid import UUID
 
-from planner_bridge.model.problem import Domain, Problem
+from planner_bridge.model.problem import Problem
 from planner_bridge.pddl import parse_domain, parse_problem
 from planner_bridge.tasks.replanning import Limits
 from planner_bridge.tasks.settings import Settings
@@ -16,28 +16,13 @@ from pnm.actions.faults import NO_FAULTS, Fault, FaultKind, Faults
 from pnm.core.logic.conditions import Condition
 from pnm.core.machine.bindings import Binding, Bindings
 from pnm.tasks import Wanted
-from tests.support.pddl.problems import read_goal
+from tests.support.pddl.problems import fleet_texts, read_goal
 from tests.support.tasks.kills.instants import Instant, random_instant
 
 ROBOTS: Final = 3
 PLACES: Final = 7
-COURIERS: Final = """
-(define (domain couriers)
-  (:requirements :typing :numeric-fluents)
-  (:types robot parcel room - object)
-  (:predicates (at ?r - robot ?a - room) (way ?a ?b - room) (in ?p - parcel ?a - room) (has ?r - robot ?p - parcel) (free ?r - robot))
-  (:functions (moves ?r - robot) (picks ?p - parcel))
-  (:action move :parameters (?r - robot ?a ?b - room)
-    :precondition (and (at ?r ?a) (way ?a ?b))
-    :effect (and (not (at ?r ?a)) (at ?r ?b) (increase (moves ?r) 1)))
-  (:action pick :parameters (?r - robot ?p - parcel ?a - room)
-    :precondition (and (at ?r ?a) (in ?p ?a) (free ?r))
-    :effect (and (not (in ?p ?a)) (has ?r ?p) (not (free ?r)) (increase (picks ?p) 1)))
-  (:action drop :parameters (?r - robot ?p - parcel ?a - room)
-    :precondition (and (at ?r ?a) (has ?r ?p))
-    :effect (and (in ?p ?a) (not (has ?r ?p)) (free ?r))))
-"""
-"""Robots and parcels; whatever is done twice, or noted twice, is counted twice."""
+TEXTS: Final = fleet_texts(ROBOTS, ROBOTS, PLACES, counts=True)
+"""A domain and a problem of robots and parcels; whatever is done twice, or noted twice, is counted twice."""
 
 
 @dataclass(frozen=True)
@@ -60,7 +45,8 @@ class Scenario:
     @cached_property
     def problem(self) -> Problem:
         """The world, and what its goals may speak of."""
-        return parse_problem(problem_text("(and)"), _DOMAIN)
+        domain, problem = TEXTS
+        return parse_problem(problem, parse_domain(domain))
 
     def read_goal(self, text: str) -> Condition:
         """Return the goal of a text."""
@@ -82,13 +68,3 @@ def random_scenario(number: int) -> Scenario:
 
 
 _BINDINGS: Final = Bindings({name: Binding(resources=("{r}",), retries=1) for name in ("move", "pick", "drop")})
-_DOMAIN: Final[Domain] = parse_domain(COURIERS)
-
-
-def problem_text(goal: str) -> str:
-    """Return the problem with this goal: rooms in a ring, a robot and a parcel in each of the first."""
-    ring = [f"(way a{n} a{m})" for n in range(PLACES) for m in ((n + 1) % PLACES, (n - 1) % PLACES)]
-    init = [f"(at r{n} a{n}) (free r{n}) (in p{n} a{n}) (= (moves r{n}) 0) (= (picks p{n}) 0)" for n in range(ROBOTS)]
-    things = " ".join(f"{letter}{n} - {kind}" for letter, kind in (("r", "robot"), ("p", "parcel")) for n in range(ROBOTS))
-    rooms = " ".join(f"a{n}" for n in range(PLACES))
-    return f"(define (problem p) (:domain couriers) (:objects {things} {rooms} - room) (:init {' '.join(init + ring)}) (:goal {goal}))"
