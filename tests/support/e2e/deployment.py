@@ -15,7 +15,7 @@ from planner_bridge.pipeline.loading import load
 from pnm.core.knowledge_base import KnowledgeBase, parse_statement
 from pnm.core.logic.conditions import evaluate
 from tests.support.files import ROOT, written
-from tests.support.processes import LIMIT, Deployment, Program
+from tests.support.processes import LIMIT, Deployment, P, Program
 
 QUICK = """<?xml version="1.0" encoding="UTF-8"?>
 <profiles xmlns="http://www.eprosima.com/XMLSchemas/fastRTPS_Profiles">

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import json
-import signal
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from tests.support.e2e.deployment import RosDomain
+from tests.support.e2e.deployment import RosDomain, Serving
 from tests.support.files import written
 from tests.support.processes import Program
 

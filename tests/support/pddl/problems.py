@@ -114,7 +114,8 @@ _FLEET = """
 (define (domain fleet)
   (:requirements :strips :typing :negative-preconditions{requires})
   (:types robot parcel room - object)
-  (:predicates (at ?r - robot ?a - room) (way ?a ?b - room) (in ?p - parcel ?a - room) (has ?r - robot ?p - parcel) (free ?r - robot)){functions}
+  (:predicates
+    (at ?r - robot ?a - room) (way ?a ?b - room) (in ?p - parcel ?a - room) (has ?r - robot ?p - parcel) (free ?r - robot)){functions}
   (:action move :parameters (?r - robot ?a ?b - room)
     :precondition (and (at ?r ?a) (way ?a ?b))
     :effect (and (not (at ?r ?a)) (at ?r ?b){moved}))
