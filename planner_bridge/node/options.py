@@ -17,6 +17,7 @@ from pnm.core.machine.machine import OnFailure
 from pnm.errors import InputError
 from pnm.files.database.place import Place, place_of
 from pnm.files.yaml_nodes import Mapped, load_yaml
+from pnm.journal.fleet import Part
 from pnm.journal.kept import DAY, DURABILITIES, KEPT, LEASE
 from pnm.knowledge.sensor_file import sensing_in
 from pnm.knowledge.sensor_model import NO_SENSING, Sensing
@@ -52,6 +53,8 @@ class Options:
     keep_days: float = parameter(KEPT / DAY, "days for which the journal keeps old records; tasks are listed for longer")
     adopt: bool = parameter(False, "whether to take a journal of another node or computer, a copy, or one without its last records")
     lease: float = parameter(LEASE, "seconds after which another node takes over a journal in PostgreSQL from a silent one", least=1)
+    part: Part | None = parameter("", "the part of a fleet that the node serves, such as 2/4, with a journal postgresql://… for all")
+    robots: str = parameter("robot", "the type of the robots of a fleet, which are dealt out to its parts")
     planner: str = parameter(DEFAULT_PLANNER, "kairos, any engine of unified-planning, race, or race:NAME,NAME")
     planner_timeout: float = parameter(30.0, "seconds for the planner")
     improve: float = parameter(IMPROVE, "seconds to search for a better plan, at most; 0: the first plan, the same every time")
@@ -92,6 +95,12 @@ class Options:
         if given["goals"] and given["domain"] is None:
             raise InputError("named goals need a domain and a problem; expected both, or no goals")
         given["world_name"] = given["world_name"] or None
+        if part := given["part"] or None:
+            part = Part.of(part)
+            part.journal(place_of(given["journal"] or "none"))
+            if given["world"] is not None:
+                raise InputError("a part of a fleet carries out goals; expected a domain and a problem, and no world of plans")
+        given["part"] = part
         given["on_failure"], given["on_conflict"] = OnFailure(given["on_failure"]), OnConflict[given["on_conflict"].upper()]
         given["on_change"] = OnChange(given["on_change"])
         given["durability"] = DURABILITIES.get(given["durability"])

@@ -10,11 +10,12 @@ from functools import partial
 from typing import TYPE_CHECKING, Any, Final
 
 from planner_bridge.model.problem import Problem
+from planner_bridge.node.fleet import FleetManager
 from planner_bridge.node.node_context import NodeContext, open_context
 from planner_bridge.node.node_log import NodeObserver, open_diagnoses
 from planner_bridge.node.options import PARAMETERS, Options
 from planner_bridge.node.problem_service import NOTHING, ProblemFolder, ServedProblem
-from planner_bridge.node.world_queries import SharedWorld, read_goals
+from planner_bridge.node.world_queries import SharedWorld
 from planner_bridge.tasks.replanning import Limits
 from planner_bridge.tasks.settings import Settings
 from planner_bridge.tasks.task_manager import TaskLimits, TaskManager
@@ -59,7 +60,6 @@ def make_task_manager(context: NodeContext) -> tuple[TaskManager, ServedProblem]
         on_change=options.on_change,
     )
     folder = ProblemFolder(options.problems, options.problem)
-    goals = read_goals(options.goals) if options.goals else {}
     plans = [program.plan for program in context.runner.programs.values()]
 
     def begin_anew(problem: Problem, initial: KnowledgeBase) -> None:
@@ -72,13 +72,14 @@ def make_task_manager(context: NodeContext) -> tuple[TaskManager, ServedProblem]
     problem, began = context.problem or NOTHING, context.replay.began if context.replay else None
     try:
         world = ServedProblem(
-            problem, context.runner.world, settings, folder, begin_anew, goals=goals, plans=plans, began=began, check=context.check
+            problem, context.runner.world, settings, folder, begin_anew, goals=context.goals, plans=plans, began=began, check=context.check
         )
     except InputError as error:
         raise InputError(f"{options.goals}: {error}") from error
     limits = TaskLimits(options.max_tasks, options.max_queue, options.on_conflict)
     helper = context.sources if options.ask_for_help else None
-    manager = TaskManager(problem, context.runner, settings, world.read_goal, helper=helper, limits=limits)
+    make = partial(FleetManager, context.fleet, context.robots.target) if context.fleet and context.robots else TaskManager
+    manager = make(problem, context.runner, settings, world.read_goal, helper=helper, limits=limits)
     return manager, world
 
 
@@ -214,6 +215,8 @@ class ServingNode:
             if (replay := context.replay) is not None:
                 manager.restore(replay)
                 self._node.restored(replay.is_held, {task.accepted.wanted.id for task in replay.unfinished if task.is_held})
+            if isinstance(manager, FleetManager):
+                stack.callback(asyncio.ensure_future(manager.attend()).cancel)
 
         await context.backend.share(runner.prefix, runner.knowledge_of, context.sources)
         preparing = asyncio.ensure_future(runner.prepare())
@@ -222,7 +225,8 @@ class ServingNode:
         if preparing.done():
             preparing.result()  # raises what is wrong
         preparing.add_done_callback(prepared)
-        self._node = TaskNode(self._ros, manager, world, context.plan_actions, kept_tasks(context.replay))
+        kept = manager.go_on() if isinstance(manager, FleetManager) else kept_tasks(context.replay)
+        self._node = TaskNode(self._ros, manager, world, context.plan_actions, kept)
         self._restore = restore
         look = partial(context.backend.look, runner.actions)
         await open_diagnoses(stack, self._ros, look, manager, lambda: self._state, self._clock, runner.journal, self._options)

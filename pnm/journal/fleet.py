@@ -1,0 +1,231 @@
+"""A fleet that several nodes serve at the same time, in PostgreSQL: its parts, and the goals that they share.
+
+A part has a journal of its own, with one holder, and robots of its own. A goal comes in at the door of a part, and is kept for all parts
+before its client hears that it is accepted. A part that has room takes it. Which part that is says its row here; what becomes of it
+says the journal of the part alone: what a part has taken, and its journal does not have, is begun there, whoever holds it by then. So
+a goal is begun once, whenever processes die.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from time import sleep
+from typing import Final, NamedTuple
+from uuid import UUID
+
+from pnm.errors import InputError
+from pnm.files.database.database import Database
+from pnm.files.database.driver import NOW, Layout, Rows, SqlQuery
+from pnm.files.database.lock import this_process
+from pnm.files.database.place import Place, ServerUrl
+from pnm.journal.codec import Codec
+from pnm.journal.kept import journal_errors
+from pnm.tasks import TaskEnding, Wanted
+
+_GATHER: Final = 0.02
+"""Seconds for which news are gathered: many goals may come and end at once."""
+_KEPT: Final = 100
+"""Goals of a door that are over, and whose clients may still ask for their results."""
+
+_LAYOUT: Final = Layout(
+    "fleet",
+    0x504E4D46,  # PNMF
+    1,
+    (
+        "CREATE TABLE fleet (parts INTEGER NOT NULL, origin TEXT NOT NULL)",
+        # `target` is the only part that may take it, `part` the one that has; 0 for none.
+        "CREATE TABLE goals (task TEXT PRIMARY KEY, number BIGSERIAL, wall DOUBLE PRECISION NOT NULL, text TEXT NOT NULL,"
+        " priority INTEGER NOT NULL, door INTEGER NOT NULL, target INTEGER NOT NULL, part INTEGER NOT NULL DEFAULT 0,"
+        " is_cancelled INTEGER NOT NULL DEFAULT 0, ending TEXT NOT NULL DEFAULT '', is_told INTEGER NOT NULL DEFAULT 0)",
+        "CREATE INDEX unfinished ON goals (part, priority, number) WHERE ending = ''",
+        "CREATE INDEX untold ON goals (door) WHERE is_told = 0",
+    ),
+)
+_BEGIN: Final = "INSERT INTO fleet SELECT :parts, :origin WHERE NOT EXISTS (SELECT 1 FROM fleet)"
+_BEGUN: Final = SqlQuery("SELECT parts, origin FROM fleet", (int, str))
+_LOCK: Final = "LOCK TABLE fleet IN EXCLUSIVE MODE"
+_ADD: Final = (
+    f"INSERT INTO goals (task, wall, text, priority, door, target) SELECT :task, {NOW}, :text, :priority, :door, :target"
+    " WHERE (SELECT count(*) FROM goals WHERE part = 0 AND ending = '') < :most ON CONFLICT DO NOTHING RETURNING 1"
+)
+_TAKE: Final = (
+    "UPDATE goals SET part = :part WHERE task IN (SELECT task FROM goals WHERE part = 0 AND ending = '' AND target IN (0, :part)"
+    " ORDER BY priority DESC, number LIMIT :room FOR UPDATE SKIP LOCKED)"
+)
+_TAKEN: Final = SqlQuery(
+    f"SELECT text, {NOW} - wall FROM goals WHERE part = :part AND ending = ''"
+    " AND NOT EXISTS (SELECT 1 FROM {journal}.tasks WHERE tasks.task = goals.task) ORDER BY priority DESC, number",
+    (str, float),
+)
+_END: Final = (
+    "UPDATE goals SET ending = tasks.text FROM {journal}.tasks WHERE tasks.task = goals.task AND tasks.is_over = 1"
+    " AND goals.part = :part AND goals.ending = '' RETURNING 1"
+)
+_REFUSE: Final = "UPDATE goals SET ending = :ending WHERE task = :task AND ending = ''"
+_CANCEL: Final = "UPDATE goals SET is_cancelled = 1, ending = CASE WHEN part = 0 THEN :ending ELSE ending END WHERE task = :task"
+_CANCELLED: Final = SqlQuery("SELECT task FROM goals WHERE part = :part AND ending = '' AND is_cancelled = 1", (str,))
+_TELL: Final = SqlQuery(
+    "UPDATE goals SET is_told = 1 WHERE door = :part AND is_told = 0 AND ending <> '' RETURNING task, ending", (str, str)
+)
+_OF_DOOR: Final = SqlQuery(
+    "SELECT text, ending FROM goals WHERE door = :part"
+    " AND (ending = '' OR number > (SELECT max(number) FROM goals) - :kept) ORDER BY number",
+    (str, str),
+)
+_DROP: Final = f"DELETE FROM goals WHERE part IN (0, :part) AND ending <> '' AND wall < {NOW} - :kept"
+
+
+@dataclass(frozen=True, slots=True)
+class Part:
+    """A part of a fleet: its number from 1 on, and how many there are."""
+
+    number: int
+    count: int
+
+    @classmethod
+    def of(cls, text: str) -> Part:
+        """Read a part such as ``2/4``; raise an `InputError` if it is none."""
+        number, _, count = text.partition("/")
+        if number.isdecimal() and count.isdecimal() and 1 <= int(number) <= int(count):
+            return cls(int(number), int(count))
+        raise InputError(f"not a part of a fleet: {text!r}; expected its number and how many there are, such as 2/4")
+
+    def journal(self, fleet: Place | None) -> ServerUrl:
+        """Return the place of its journal; raise an `InputError` if the fleet is not in PostgreSQL."""
+        if not isinstance(fleet, ServerUrl):
+            raise InputError("the parts of a fleet meet in PostgreSQL; expected a journal postgresql://…")
+        return replace(fleet, options={**fleet.options, "name": f"{fleet.name}_{self.number}"})
+
+    def __str__(self) -> str:
+        return f"{self.number}/{self.count}"
+
+
+class FleetNews(NamedTuple):
+    """The news of a fleet for a part.
+
+    Args:
+        taken: goals to begin here.
+        cancelled: tasks to be cancelled here.
+        ended: goals that came in at this door, and how they have ended.
+    """
+
+    taken: Sequence[Wanted] = ()
+    cancelled: Sequence[UUID] = ()
+    ended: Sequence[tuple[UUID, TaskEnding]] = ()
+
+
+class Fleet:
+    """A fleet, as its database has it for the holder of a part. To be used by the event loop, but for `wait`.
+
+    Args:
+        place: of what the parts share.
+        codec: of tasks.
+        part: this one.
+        origin: a digest of the files of its world.
+        kept: seconds for which goals are kept that are over.
+
+    Raises:
+        InputError: it was begun with another number of parts, or with other files.
+        JournalError: it cannot be reached.
+    """
+
+    def __init__(self, place: ServerUrl, codec: Codec, part: Part, origin: str, kept: float) -> None:
+        self.part = part
+        self._place = place
+        self._codec = codec
+        self._journal = part.journal(place).name
+        with journal_errors(place, "opened"):
+            self._database = Database(place, _LAYOUT, is_durable=True)
+            self._bell = Database(place, _LAYOUT, read_only=True)
+            with self._database.transaction():
+                self._database.run(_LOCK)
+                self._database.run(_BEGIN, parts=part.count, origin=origin)
+                ((parts, begun),) = self._database.read(_BEGUN)
+        if (parts, begun) != (part.count, origin):
+            found = f"{parts} parts" if parts != part.count else "other files"
+            raise InputError(f"the fleet {place} was begun with {found}; expected the same, or a new one, by another ?name=")
+        with self._transaction():
+            self._run(_DROP, part=part.number, kept=kept)
+
+    def add(self, wanted: Wanted, target: int, most: int) -> bool:
+        """Keep a goal for a part, or for any if it is 0; return False if so many wait already, or it is there.
+
+        Raises:
+            JournalError: it cannot be kept now.
+        """
+        values = {"text": self._codec.text(wanted), "priority": wanted.priority, "door": self.part.number, "target": target}
+        with self._transaction():
+            is_kept = self._run(_ADD, task=wanted.id.hex, most=most, **values)
+            self._announce()
+        return bool(is_kept)
+
+    def look(self, room: int) -> FleetNews:
+        """Take goals, as many as there is room for, and return what is new; raise a `JournalError` if that cannot be done now."""
+        part = self.part.number
+        with self._transaction():
+            if room:
+                self._run(_TAKE, part=part, room=room)
+            taken = self._read(_TAKEN, part=part)
+            if self._run(_END.format(journal=self._journal), part=part):
+                self._announce()
+            cancelled, ended = self._read(_CANCELLED, part=part), self._read(_TELL, part=part)
+        return FleetNews(
+            [self._wanted(text, waited) for text, waited in taken],
+            [UUID(task) for (task,) in cancelled],
+            [(UUID(task), self._ending(text)) for task, text in ended],
+        )
+
+    def refuse(self, task: UUID, ending: TaskEnding) -> None:
+        """Keep how a goal has ended that no journal has; raise a `JournalError` if that cannot be done now."""
+        with self._transaction():
+            self._run(_REFUSE, task=task.hex, ending=self._codec.text(ending))
+            self._announce()
+
+    def cancel(self, task: UUID, ending: TaskEnding) -> None:
+        """Have the part cancel a goal that has taken it; if none has, it ends so. Raise a `JournalError` if that cannot be done now."""
+        with self._transaction():
+            self._run(_CANCEL, task=task.hex, ending=self._codec.text(ending))
+            self._announce()
+
+    def of_door(self) -> list[tuple[Wanted, TaskEnding | None]]:
+        """Return the goals that came in at this door before, and how those have ended that are over."""
+        with self._transaction():
+            rows = self._read(_OF_DOOR, part=self.part.number, kept=_KEPT)
+        return [(self._codec.value(text), self._ending(ending) if ending else None) for text, ending in rows]
+
+    def wait(self, seconds: float) -> None:
+        """Wait for news, or for so long, in a thread; raise a `JournalError` if the database is not there."""
+        sleep(_GATHER)
+        with journal_errors(self._place, "reached"):
+            self._database.connect()
+            self._bell.do(lambda driver: driver.wait(seconds, this_process()))
+
+    def close(self) -> None:
+        """Close the connections."""
+        self._database.close()
+        self._bell.close()
+
+    def _wanted(self, text: str, waited: float) -> Wanted:
+        wanted: Wanted = self._codec.value(text)
+        return wanted if wanted.deadline is None else replace(wanted, deadline=max(0.0, wanted.deadline - waited))
+
+    def _ending(self, text: str) -> TaskEnding:
+        value = self._codec.value(text)
+        return value if isinstance(value, TaskEnding) else value.ending
+
+    @contextmanager
+    def _transaction(self) -> Iterator[None]:
+        """Enter a transaction over the connection that is there; it is mended by `wait`, in its time and not in that of the event loop."""
+        with journal_errors(self._place, "reached"), self._database.transaction(is_new=False):
+            yield
+
+    def _run(self, sql: str, **values: object) -> Rows:
+        return self._database.run(sql, **values)
+
+    def _read(self, query: SqlQuery, **values: object) -> Rows:
+        return self._database.read(SqlQuery(query.sql.format(journal=self._journal), query.columns), **values)
+
+    def _announce(self) -> None:
+        self._database.do(lambda driver: driver.announce())
