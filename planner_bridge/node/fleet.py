@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import logging
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from contextlib import suppress
 from dataclasses import replace
 from time import sleep
@@ -13,19 +13,29 @@ from typing import Any, Final
 from uuid import UUID
 
 from planner_bridge.model.grounding import dynamic_names, initial_knowledge
-from planner_bridge.model.problem import Problem
-from planner_bridge.node.world_queries import SharedWorld
+from planner_bridge.model.problem import TOTAL_COST, TOTAL_TIME, Problem
+from planner_bridge.node.node_journal import origin_of
+from planner_bridge.node.options import Options
+from planner_bridge.node.world_queries import SharedWorld, read_goals
+from planner_bridge.ordering.interference import ReadWriteSets
+from planner_bridge.tasks.context import Claims, Conflict
+from planner_bridge.tasks.result import TASKS
 from planner_bridge.tasks.task import Task
 from planner_bridge.tasks.task_manager import TaskManager
+from pnm.core.knowledge_base import KnowledgeBase
 from pnm.core.logic.conditions import fluents
 from pnm.core.logic.effects import TimedChange
+from pnm.core.logic.expressions import Fluent, Unknown, Value, fluent_text
+from pnm.core.machine.bindings import Bindings
 from pnm.errors import InputError, suggestion
-from pnm.journal.fleet import Fleet, Part
-from pnm.journal.kept import JournalError
+from pnm.files.database.place import ServerUrl, place_of
+from pnm.journal.fleet import Facts, Fleet, Part, TaskClaim
+from pnm.journal.kept import DAY, JournalError
 from pnm.tasks import Code, TaskEnding, TaskRefused, TaskState, TaskStatus, Wanted
 
 _LOOK: Final = 1.0
 """Seconds at most until a part looks again for goals."""
+_ANY_VALUE: Final[frozenset[bool | None]] = frozenset({None})
 _WORD: Final = re.compile(r"[^\s()]+")
 _log = logging.getLogger(__name__)
 
@@ -49,6 +59,8 @@ class DealtRobots:
             hint = suggestion(kind, whole.objects_by_type) or "expected a type of the domain that has objects"
             raise InputError(f"the fleet has no robots of the type {kind}; {hint}")
         self._part_of = {robot: index % part.count + 1 for index, robot in enumerate(robots)}
+        self.part = part
+        self._kind = kind
         self._knowledge = initial_knowledge(whole)
         self._world = SharedWorld(whole, self._knowledge, goals)
         others = {robot for robot, number in self._part_of.items() if number != part.number}
@@ -60,9 +72,26 @@ class DealtRobots:
         about = " ".join(map(str, (whole.constraints, whole.preferences, whole.metric, whole.network)))
         if named := self._part_of.keys() & {*whole.domain.constants, *_WORD.findall(about)}:
             raise InputError(f"{min(named)} is named by the domain, or by a constraint: that cannot be divided among the parts of a fleet")
-        for name in sorted(dynamic_names(whole) & {*whole.domain.fluents}):
-            if not any(whole.domain.matches(variable.types, (kind,)) for variable in whole.domain.fluents[name].parameters):
-                raise InputError(f"{name} changes, and is not about a {kind}: parts of a fleet cannot share it yet")
+        self._changing = dynamic_names(whole) - {TOTAL_COST, *TOTAL_TIME}
+
+    @classmethod
+    def of(cls, whole: Problem, options: Options) -> DealtRobots:
+        """Deal out the robots as the options of a node say; raise an `InputError` if that cannot be."""
+        assert options.part
+        return cls(whole, options.robots, options.part, read_goals(options.goals) if options.goals else {})
+
+    def is_shared(self, fluent: Fluent) -> bool:
+        """Return whether parts share a fact: actions change it, and it is about no robot."""
+        return fluent[0] in self._changing and self._part_of.keys().isdisjoint(fluent)
+
+    def check(self, bindings: Bindings) -> None:
+        """Raise an `InputError` if actions of robots of several parts have a resource in common."""
+        for action in self.problem.domain.actions.values():
+            own = {f"{{{one.name[1:]}}}" for one in action.parameters if self.problem.domain.matches(one.types, (self._kind,))}
+            for resource in bindings.of(action.name).resources:
+                if not any(name in resource for name in own):
+                    names = " or ".join(sorted(own)) or f"a {self._kind}"
+                    raise InputError(f"the resource {resource} of {action.name} is not that of a robot; expected {names} in its name")
 
     def target(self, wanted: Wanted) -> int:
         """Return the part that has the robots of a task, 0 if it names none; raise an `InputError` if they are of several."""
@@ -90,6 +119,77 @@ def _without(problem: Problem, others: set[str]) -> Problem:
     return replace(problem, own_objects=objects, init=known(problem.init), timed=tuple(timed))
 
 
+class FleetClaims(Claims):
+    """The facts that a part shares with others, and the claims of its tasks to them.
+
+    The mutable state is whether facts are recorded that come from other parts.
+    """
+
+    def __init__(self, fleet: Fleet, world: KnowledgeBase, is_shared: Callable[[Fluent], bool]) -> None:
+        self._fleet = fleet
+        self._world = world
+        self._is_shared = is_shared
+        self._is_told = False
+        known = world.facts()
+        fleet.changed({fluent: known.get(fluent, False) for fluent in fleet.claimed})
+        world.listen(self._changed)
+
+    def record(self, facts: Facts) -> None:
+        """Record what other parts have changed; what is sensed here is known better."""
+        self._is_told = True
+        try:
+            self._world.update({fluent: value for fluent, value in facts.items() if not self._world.is_sensed(fluent)})
+        finally:
+            self._is_told = False
+
+    def _changed(self, changes: Mapping[Fluent, Value | Unknown]) -> None:
+        if not self._is_told:
+            self._fleet.changed({fluent: value for fluent, value in changes.items() if self._is_shared(fluent)})
+
+    def take(self, task: Task, needed: Callable[[], ReadWriteSets]) -> tuple[Conflict, ...] | None:
+        """Claim what a plan reads and writes of the shared facts."""
+        sets = needed()
+        reads, writes = ({*filter(self._is_shared, names)} for names in ((*sets.reads, *sets.facts), sets.writes))
+        if not (reads or writes):
+            return ()
+        try:
+            against, facts = self._fleet.claim(task.id, reads, writes)
+        except JournalError as error:
+            return (Conflict(task.id, "the fleet", ReadWriteSets(), str(error), until=_LOOK),)
+        self.record(facts)
+        return _conflicts(against) or (None if (reads | writes) & facts.keys() else ())
+
+    def give(self, task: UUID) -> None:
+        """Give back what a task has."""
+        self._fleet.give(task)
+
+    def others(self) -> tuple[Conflict, ...]:
+        """Return the tasks of other parts that have claims."""
+        try:
+            return _conflicts(self._fleet.others())
+        except JournalError:
+            return ()
+
+
+def _conflicts(claims: Iterable[TaskClaim]) -> tuple[Conflict, ...]:
+    """Return the conflicts with the tasks that have these claims."""
+    found: dict[UUID, Conflict] = {}
+    for task, part, fluent, writes in claims:
+        name, why = f"{task.hex[:8]} of part {part}", f"it has claimed {fluent_text(fluent)}"
+        before = found.get(task, Conflict(task, name, ReadWriteSets(), why, until=_LOOK))
+        written = {**before.footprint.writes, fluent: _ANY_VALUE} if writes else before.footprint.writes
+        found[task] = replace(before, footprint=ReadWriteSets(reads=before.footprint.reads | {fluent}, writes=written))
+    return tuple(found.values())
+
+
+def open_fleet(options: Options) -> Fleet:
+    """Open the fleet of which a node serves a part; raises as `Fleet` does."""
+    place, part = place_of(options.journal), options.part
+    assert isinstance(place, ServerUrl)
+    assert part
+    return Fleet(place, TASKS, part, f"{origin_of(options)} {options.robots}", options.keep_days * DAY)
+
+
 class FleetManager(TaskManager):
     """The task manager of a part: tasks that come in here are kept for all parts, and carried out by the one that takes them.
 
@@ -97,10 +197,11 @@ class FleetManager(TaskManager):
     look for news, and could do so last.
     """
 
-    def __init__(self, fleet: Fleet, target: Callable[[Wanted], int], *args: Any, **options: Any) -> None:
+    def __init__(self, robots: DealtRobots, fleet: Fleet, *args: Any, **options: Any) -> None:
         super().__init__(*args, **options)
         self._fleet = fleet
-        self._target = target
+        self._target = robots.target
+        self._claims = self._preemption.claims = FleetClaims(fleet, self._runner.world, robots.is_shared)
         self._came_in: dict[UUID, tuple[Wanted, asyncio.Event]] = {}
         self._beginning: UUID | None = None
         self._is_due = False
@@ -153,6 +254,13 @@ class FleetManager(TaskManager):
             raise TaskRefused(str(error)) from error
         await self._came_in[task][1].wait()
 
+    async def close(self) -> None:
+        """Cancel all tasks that are carried out here, and leave the fleet."""
+        try:
+            await super().close()
+        finally:
+            self._fleet.close()
+
     def status(self) -> tuple[TaskStatus, ...]:
         """Return the status of all tasks that are here, and of those that came in here and are not."""
         elsewhere = (
@@ -173,6 +281,7 @@ class FleetManager(TaskManager):
             with suppress(JournalError):  # it is begun again, and refused again
                 self._fleet.refuse(task.id, ending)
         self._is_over(task.id)
+        self._claims.give(task.id)
         if not self._is_due:
             self._is_due = True
             self._loop.call_soon(self._look)
@@ -191,6 +300,7 @@ class FleetManager(TaskManager):
             news = self._fleet.look(room)
         except JournalError:
             return  # which `attend` says
+        self._claims.record(news.facts)
         for self._beginning, wanted in ((wanted.id, wanted) for wanted in news.taken):
             super().begin(wanted)
         self._beginning = None

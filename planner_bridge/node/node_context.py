@@ -19,17 +19,13 @@ from planner_bridge.node.fleet import DealtRobots
 from planner_bridge.node.node_journal import checked_names, journal_of, origin_of, resume
 from planner_bridge.node.node_log import NodeObserver
 from planner_bridge.node.options import Options, RobotFiles
-from planner_bridge.node.world_queries import read_goals
 from planner_bridge.pddl import parse_domain, parse_problem
 from planner_bridge.pipeline.loading import load
 from planner_bridge.planning.solve import check_planner
-from planner_bridge.tasks.result import TASKS
 from pnm.actions.backend import check_ready
 from pnm.core.logic.domain import Vocabulary
 from pnm.core.machine.bindings import Bindings
-from pnm.files.database.place import ServerUrl
-from pnm.journal.fleet import Fleet
-from pnm.journal.kept import DAY, Fenced
+from pnm.journal.kept import Fenced
 from pnm.journal.records import SharedBegan
 from pnm.journal.replay import Replay
 from pnm.knowledge.sources import Sources, Surroundings, open_sources
@@ -59,12 +55,8 @@ class NodeContext:
     """The actions of plans, by plan."""
     origin: str
     """The source of the world at the start of the node."""
-    goals: Mapping[str, str]
-    """Goals with names."""
-    fleet: Fleet | None
-    """The fleet of which the node serves a part; None if it serves all robots."""
     robots: DealtRobots | None
-    """Those of that fleet."""
+    """The robots of a fleet, if the node serves a part of one."""
 
     def begin_journal(self, anew: Callable[[], None] = lambda: None, loaded: tuple[str, ...] = ()) -> None:
         """Begin the journal anew, in the world as `anew` leaves it; it is not that of the files if other domain and problem were loaded."""
@@ -95,10 +87,8 @@ async def open_context(
     world = read_world(options.world, options.world_name) if options.world else None
     plans = tuple(world.plans.values()) if world else ()
     problem = load(options.domain, options.problem) if options.domain and options.problem else None
-    goals, robots = read_goals(options.goals) if options.goals else {}, None
-    if options.part and problem:
-        robots = DealtRobots(problem, options.robots, options.part, goals)
-        problem, goals = robots.problem, robots.goals
+    robots = DealtRobots.of(problem, options) if problem and options.part else None
+    problem = robots.problem if robots else problem
     models = (*plans, *((problem,) if problem else ()))
     warnings = dict.fromkeys(warning for model in models for warning in model.warnings)
     observer.tolerated(warnings)
@@ -113,15 +103,11 @@ async def open_context(
     bindings = own.before(merge_bindings(plans))
     node, domain_id = await ros.ask(lambda: (ros.node.get_fully_qualified_name(), ros.node.context.get_domain_id()))
     place = journal_of(options.journal, node, domain_id, origin := origin_of(options))
-    fleet_place, fleet_origin = place, f"{origin} {options.robots}"
-    if options.part:
-        place, origin = options.part.journal(place), f"{fleet_origin} {options.part}"
+    if robots:
+        robots.check(bindings)
+        place, origin = robots.part.journal(place), f"{origin} {options.robots} {robots.part}"
     actions, plan_actions = await checked_names(ros, programs, place)
     journal, replay = await resume(options, place, node, origin, observer, fenced, stack)
-    fleet = None
-    if options.part and isinstance(fleet_place, ServerUrl):
-        fleet = Fleet(fleet_place, TASKS, options.part, fleet_origin, options.keep_days * DAY)
-        stack.callback(fleet.close)
     if replay and replay.shared and replay.shared.loaded:  # in place of that of the files
         domain, text = replay.shared.loaded
         problem = parse_problem(text, parse_domain(domain))
@@ -140,9 +126,7 @@ async def open_context(
     runner = PlanRunner(programs, backend, knowledge, sources, journal, replay)
     runner.prefix = prefix
     await check_ready(backend, runner.actions)
-    context = NodeContext(
-        options, files, problem, runner, bindings, backend, sources, replay, actions, plan_actions, origin, goals, fleet, robots
-    )
+    context = NodeContext(options, files, problem, runner, bindings, backend, sources, replay, actions, plan_actions, origin, robots)
     if replay is None:
         context.begin_journal()
     return context

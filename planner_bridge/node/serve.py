@@ -10,12 +10,12 @@ from functools import partial
 from typing import TYPE_CHECKING, Any, Final
 
 from planner_bridge.model.problem import Problem
-from planner_bridge.node.fleet import FleetManager
+from planner_bridge.node.fleet import FleetManager, open_fleet
 from planner_bridge.node.node_context import NodeContext, open_context
 from planner_bridge.node.node_log import NodeObserver, open_diagnoses
 from planner_bridge.node.options import PARAMETERS, Options
 from planner_bridge.node.problem_service import NOTHING, ProblemFolder, ServedProblem
-from planner_bridge.node.world_queries import SharedWorld
+from planner_bridge.node.world_queries import SharedWorld, read_goals
 from planner_bridge.tasks.replanning import Limits
 from planner_bridge.tasks.settings import Settings
 from planner_bridge.tasks.task_manager import TaskLimits, TaskManager
@@ -60,6 +60,7 @@ def make_task_manager(context: NodeContext) -> tuple[TaskManager, ServedProblem]
         on_change=options.on_change,
     )
     folder = ProblemFolder(options.problems, options.problem)
+    goals = context.robots.goals if context.robots else read_goals(options.goals) if options.goals else {}
     plans = [program.plan for program in context.runner.programs.values()]
 
     def begin_anew(problem: Problem, initial: KnowledgeBase) -> None:
@@ -72,13 +73,13 @@ def make_task_manager(context: NodeContext) -> tuple[TaskManager, ServedProblem]
     problem, began = context.problem or NOTHING, context.replay.began if context.replay else None
     try:
         world = ServedProblem(
-            problem, context.runner.world, settings, folder, begin_anew, goals=context.goals, plans=plans, began=began, check=context.check
+            problem, context.runner.world, settings, folder, begin_anew, goals=goals, plans=plans, began=began, check=context.check
         )
     except InputError as error:
         raise InputError(f"{options.goals}: {error}") from error
     limits = TaskLimits(options.max_tasks, options.max_queue, options.on_conflict)
     helper = context.sources if options.ask_for_help else None
-    make = partial(FleetManager, context.fleet, context.robots.target) if context.fleet and context.robots else TaskManager
+    make = partial(FleetManager, context.robots, open_fleet(options)) if context.robots else TaskManager
     manager = make(problem, context.runner, settings, world.read_goal, helper=helper, limits=limits)
     return manager, world
 

@@ -126,6 +126,24 @@ _SHORTEST: Final = 1.0
 """Seconds after which a task tries again at the earliest when others are expected to be out of its way."""
 
 
+class Claims:
+    """The claims of tasks in other processes of a fleet to what they share; here there is no other process."""
+
+    def take(self, task: Task, needed: Callable[[], ReadWriteSets]) -> tuple[Conflict, ...] | None:
+        """Claim for a task what its plan needs, besides what it has; return the conflicts if there are any: it has no more than before.
+
+        None says that what it needs has changed just now, so that its plan may not work any more.
+        """
+        return ()
+
+    def give(self, task: UUID) -> None:
+        """Give back what a task has."""
+
+    def others(self) -> tuple[Conflict, ...]:
+        """Return the tasks in other processes that have claims."""
+        return ()
+
+
 class Preemption(TaskListener):
     """Finds the tasks that are in conflict with each other, and pauses and resumes those of lower priority.
 
@@ -141,6 +159,8 @@ class Preemption(TaskListener):
         self._resources = resources
         self._queue = queue
         self._pausing: dict[UUID, asyncio.Task[None]] = {}
+        self.claims = Claims()
+        """Those of other processes; another one has to be there before the first task."""
 
     # --- conflicts ------------------------------------------------------------------------------
 
@@ -190,6 +210,8 @@ class Preemption(TaskListener):
 
         Nothing else tells them where its run has ended without a change of facts, and it may wait for its next turn behind them.
         """
+        if task.control.execution is None:
+            self.claims.give(task.id)
         if task.control.reserved is not None:
             task.control.reserved = None
             asyncio.get_running_loop().call_soon(self._queue.changed)  # when it is in the queue itself, which goes by rank

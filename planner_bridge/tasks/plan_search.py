@@ -268,7 +268,7 @@ class PlanSearch:
             latest = result.plan.makespan if result.plan and can_begin else inf
             conflicts = await self._sooner(now, forecasts, latest, share=1.0 if result.plan is None else _HINT) or conflicts
         if result.plan is None and not conflicts:
-            conflicts = await self._too_early(now, running, result)
+            conflicts = await self._too_early(now, running, result) or await self._claimed(now, result)
         self._control.check()
         if result.plan is None and not conflicts:
             with self._control.waiting():
@@ -297,8 +297,9 @@ class PlanSearch:
 
     def _reserved(self, plan: P | None, needed: Footprint, conflicts: tuple[Conflict, ...]) -> tuple[P | None, tuple[Conflict, ...]]:
         """Reserve what a plan needs, unless it is in conflict. No await since these were looked for: of two tasks one sees the other."""
-        if conflicts:
-            return None, conflicts
+        found = conflicts or self._context.scheduler.claims.take(self._context.task, needed)
+        if found != ():
+            return None, found or ()
         self._control.reserved = needed
         return plan, ()
 
@@ -319,6 +320,14 @@ class PlanSearch:
             yields = task.yields_to(self._context.task)
             conflicts.append(Conflict(task.id, task.name, read_write_sets(calls, TRUE, world), why, yields))
         return tuple(conflict for conflict in conflicts if needed.disturbed_by(conflict.footprint)) or tuple(conflicts)
+
+    async def _claimed(self, now: Problem, result: PlanningResult) -> tuple[Conflict, ...]:
+        """Return the tasks in other processes after which there may be a plan: what they have claimed may be true then."""
+        others = self._context.scheduler.claims.others() if result.status in _NO_PLAN else ()
+        hoped = {fluent: True for other in others for fluent in other.footprint.writes if fluent[0] in now.domain.predicates}
+        if not hoped or (await self._solve(replace(now, init={**now.init, **hoped}))).plan is None:
+            return ()
+        return others
 
     async def _sooner(self, now: Problem, forecasts: Mapping[Task, Forecast], latest: float, share: float) -> tuple[Conflict, ...]:
         """Return the tasks to wait for because the goal is reached before the latest time then; in seconds from now.

@@ -8,13 +8,14 @@ a goal is begun once, whenever processes die.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Collection, Iterator, Sequence
+from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass, replace
 from time import sleep
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple, TypeAlias
 from uuid import UUID
 
+from pnm.core.logic.expressions import Fluent
 from pnm.errors import InputError
 from pnm.files.database.database import Database
 from pnm.files.database.driver import NOW, Layout, Rows, SqlQuery
@@ -41,6 +42,11 @@ _LAYOUT: Final = Layout(
         " is_cancelled INTEGER NOT NULL DEFAULT 0, ending TEXT NOT NULL DEFAULT '', is_told INTEGER NOT NULL DEFAULT 0)",
         "CREATE INDEX unfinished ON goals (part, priority, number) WHERE ending = ''",
         "CREATE INDEX untold ON goals (door) WHERE is_told = 0",
+        # What the plans of tasks read and write of the facts that parts share, and the last value of those that have changed.
+        "CREATE TABLE claims (name TEXT NOT NULL, task TEXT NOT NULL, part INTEGER NOT NULL, writes INTEGER NOT NULL,"
+        " PRIMARY KEY (name, task))",
+        "CREATE TABLE facts (name TEXT PRIMARY KEY, number BIGINT NOT NULL, part INTEGER NOT NULL, value TEXT NOT NULL)",
+        "CREATE INDEX latest ON facts (number)",
     ),
 )
 _BEGIN: Final = "INSERT INTO fleet SELECT :parts, :origin WHERE NOT EXISTS (SELECT 1 FROM fleet)"
@@ -74,6 +80,25 @@ _OF_DOOR: Final = SqlQuery(
     " AND (ending = '' OR number > (SELECT max(number) FROM goals) - :kept) ORDER BY number",
     (str, str),
 )
+_SHARE: Final = (
+    "INSERT INTO facts VALUES (:name, (SELECT coalesce(max(number), 0) + 1 FROM facts), :part, :value)"
+    " ON CONFLICT (name) DO UPDATE SET number = excluded.number, part = excluded.part, value = excluded.value"
+)
+_FACTS: Final = SqlQuery(
+    "SELECT name, value, number FROM facts WHERE number > :seen AND (part <> :part OR :seen = 0) ORDER BY number", (str, str, int)
+)
+_CLAIM: Final = (
+    "INSERT INTO claims VALUES (:name, :task, :part, :writes)"
+    " ON CONFLICT (name, task) DO UPDATE SET writes = greatest(claims.writes, excluded.writes)"
+)
+_GIVE: Final = "DELETE FROM claims WHERE task = :task"
+_GIVE_REST: Final = (
+    "DELETE FROM claims WHERE part = :part"
+    " AND NOT EXISTS (SELECT 1 FROM {journal}.tasks WHERE tasks.task = claims.task AND tasks.is_over = 0)"
+)
+_OWN: Final = SqlQuery("SELECT name FROM claims WHERE part = :part AND writes = 1", (str,))
+_OTHERS: Final = SqlQuery("SELECT task, part, name, writes FROM claims WHERE part <> :part", (str, int, str, int))
+_AGAINST: Final = SqlQuery(f"{_OTHERS.sql} AND ((writes = 1 AND name = ANY(:names)) OR name = ANY(:written))", _OTHERS.columns)
 _DROP: Final = f"DELETE FROM goals WHERE part IN (0, :part) AND ending <> '' AND wall < {NOW} - :kept"
 
 
@@ -102,6 +127,19 @@ class Part:
         return f"{self.number}/{self.count}"
 
 
+class TaskClaim(NamedTuple):
+    """The claim of a task in another part to a fact."""
+
+    task: UUID
+    part: int
+    fluent: Fluent
+    writes: bool
+
+
+Facts: TypeAlias = dict[Fluent, Any]
+"""Facts, and their values."""
+
+
 class FleetNews(NamedTuple):
     """The news of a fleet for a part.
 
@@ -109,15 +147,20 @@ class FleetNews(NamedTuple):
         taken: goals to begin here.
         cancelled: tasks to be cancelled here.
         ended: goals that came in at this door, and how they have ended.
+        facts: that another part has changed.
     """
 
-    taken: Sequence[Wanted] = ()
-    cancelled: Sequence[UUID] = ()
-    ended: Sequence[tuple[UUID, TaskEnding]] = ()
+    taken: Sequence[Wanted]
+    cancelled: Sequence[UUID]
+    ended: Sequence[tuple[UUID, TaskEnding]]
+    facts: Facts
 
 
 class Fleet:
     """A fleet, as its database has it for the holder of a part. To be used by the event loop, but for `wait`.
+
+    The mutable state is the connections; and which facts were read, and are to be shared, and the tasks that have given back what they had:
+    both is done in the next transaction.
 
     Args:
         place: of what the parts share.
@@ -136,18 +179,25 @@ class Fleet:
         self._place = place
         self._codec = codec
         self._journal = part.journal(place).name
-        with journal_errors(place, "opened"):
-            self._database = Database(place, _LAYOUT, is_durable=True)
-            self._bell = Database(place, _LAYOUT, read_only=True)
+        self._seen = 0
+        self._changed: Facts = {}
+        self._given: set[UUID] = set()
+        with journal_errors(place, "opened"), ExitStack() as opened:
+            self._database = opened.enter_context(closing(Database(place, _LAYOUT, is_durable=True)))
+            self._bell = opened.enter_context(closing(Database(place, _LAYOUT, read_only=True)))
             with self._database.transaction():
-                self._database.run(_LOCK)
-                self._database.run(_BEGIN, parts=part.count, origin=origin)
-                ((parts, begun),) = self._database.read(_BEGUN)
-        if (parts, begun) != (part.count, origin):
-            found = f"{parts} parts" if parts != part.count else "other files"
-            raise InputError(f"the fleet {place} was begun with {found}; expected the same, or a new one, by another ?name=")
-        with self._transaction():
-            self._run(_DROP, part=part.number, kept=kept)
+                self._run(_LOCK)
+                self._run(_BEGIN, parts=part.count, origin=origin)
+                ((parts, begun),) = self._read(_BEGUN)
+                if (parts, begun) != (part.count, origin):
+                    found = f"{parts} parts" if parts != part.count else "other files"
+                    raise InputError(f"the fleet {place} was begun with {found}; expected the same, or a new one, by another ?name=")
+                self._run(_DROP, part=part.number, kept=kept)
+                self._run(_GIVE_REST.format(journal=self._journal), part=part.number)
+                self.claimed: Final = frozenset(self._fluent(name) for (name,) in self._read(_OWN, part=part.number))
+                """The facts that are for tasks to change which go on here: the process that has begun them knew their values."""
+            self.close: Final = opened.pop_all().close
+            """Closes the connections."""
 
     def add(self, wanted: Wanted, target: int, most: int) -> bool:
         """Keep a goal for a part, or for any if it is 0; return False if so many wait already, or it is there.
@@ -164,7 +214,7 @@ class Fleet:
     def look(self, room: int) -> FleetNews:
         """Take goals, as many as there is room for, and return what is new; raise a `JournalError` if that cannot be done now."""
         part = self.part.number
-        with self._transaction():
+        with self._exchange() as facts:
             if room:
                 self._run(_TAKE, part=part, room=room)
             taken = self._read(_TAKEN, part=part)
@@ -175,7 +225,68 @@ class Fleet:
             [self._wanted(text, waited) for text, waited in taken],
             [UUID(task) for (task,) in cancelled],
             [(UUID(task), self._ending(text)) for task, text in ended],
+            facts,
         )
+
+    def changed(self, facts: Facts) -> None:
+        """Note facts that have changed here; they are shared before anything is claimed or given back."""
+        self._changed |= facts
+
+    def claim(self, task: UUID, reads: Collection[Fluent], writes: Collection[Fluent]) -> tuple[list[TaskClaim], Facts]:
+        """Claim facts for a task, besides what it has, unless that is against claims of other parts, which are returned.
+
+        Returns besides the facts that other parts have changed; if the claim is granted, they have changed no others of its.
+
+        Raises:
+            JournalError: that cannot be done now.
+        """
+        self._given.discard(task)
+        names = {self._codec.text(fluent): int(fluent in writes) for fluent in (*reads, *writes)}
+        written = [name for name, is_written in names.items() if is_written]
+        with self._exchange(is_alone=True) as facts:
+            against = self._claims(_AGAINST, names=[*names], written=written)
+            if not against:
+                claims = [
+                    {"name": name, "task": task.hex, "part": self.part.number, "writes": is_written} for name, is_written in names.items()
+                ]
+                self._database.run_many(_CLAIM, claims)
+        return against, facts
+
+    def give(self, task: UUID) -> None:
+        """Give back what a task has, with the next look."""
+        self._given.add(task)
+
+    def others(self) -> list[TaskClaim]:
+        """Return the claims of other parts; raise a `JournalError` if that cannot be done now."""
+        with self._transaction():
+            return self._claims(_OTHERS)
+
+    @contextmanager
+    def _exchange(self, *, is_alone: bool = False) -> Iterator[Facts]:
+        """Enter a transaction, the only one if `is_alone`: share what has changed here, yield what has changed elsewhere.
+
+        Facts are numbered by one transaction after the other: who has read one has seen all before it.
+        """
+        with self._transaction():
+            if self._changed or self._given or is_alone:
+                self._run(_LOCK)
+            if self._changed or self._given:
+                own = {"part": self.part.number}
+                shared = [own | {"name": self._codec.text(fluent), "value": self._codec.text(now)} for fluent, now in self._changed.items()]
+                self._database.run_many(_SHARE, shared)
+                self._database.run_many(_GIVE, [{"task": task.hex} for task in self._given])
+                self._announce()
+            rows = self._read(_FACTS, seen=self._seen, part=self.part.number)
+            yield {self._fluent(name): self._codec.value(value) for name, value, _ in rows}
+        self._seen, self._changed, self._given = max((number for *_, number in rows), default=self._seen), {}, set()
+
+    def _claims(self, query: SqlQuery, **values: object) -> list[TaskClaim]:
+        rows = self._read(query, part=self.part.number, **values)
+        return [TaskClaim(UUID(task), part, self._fluent(name), bool(writes)) for task, part, name, writes in rows]
+
+    def _fluent(self, name: str) -> Fluent:
+        fluent: Fluent = self._codec.value(name)
+        return fluent
 
     def refuse(self, task: UUID, ending: TaskEnding) -> None:
         """Keep how a goal has ended that no journal has; raise a `JournalError` if that cannot be done now."""
@@ -201,11 +312,6 @@ class Fleet:
         with journal_errors(self._place, "reached"):
             self._database.connect()
             self._bell.do(lambda driver: driver.wait(seconds, this_process()))
-
-    def close(self) -> None:
-        """Close the connections."""
-        self._database.close()
-        self._bell.close()
 
     def _wanted(self, text: str, waited: float) -> Wanted:
         wanted: Wanted = self._codec.value(text)

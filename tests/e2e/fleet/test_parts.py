@@ -17,24 +17,37 @@ from tests.support.processes import Program, overlaps, ros_domain
 DOMAIN = """
 (define (domain patrol)
   (:requirements :typing :durative-actions)
-  (:types robot place)
-  (:predicates (at ?r - robot ?p - place) (way ?from ?to - place))
+  (:types robot place bridge)
+  (:predicates (at ?r - robot ?p - place) (way ?from ?to - place) (joins ?b - bridge ?from ?to - place)
+    (free ?b - bridge) (raised))
   (:durative-action drive
     :parameters (?r - robot ?from ?to - place)
     :duration (= ?duration 4)
     :condition (and (at start (at ?r ?from)) (at start (way ?from ?to)))
-    :effect (and (at start (not (at ?r ?from))) (at end (at ?r ?to)))))
+    :effect (and (at start (not (at ?r ?from))) (at end (at ?r ?to))))
+  (:durative-action cross
+    :parameters (?r - robot ?b - bridge ?from ?to - place)
+    :duration (= ?duration 4)
+    :condition (and (at start (at ?r ?from)) (at start (joins ?b ?from ?to)) (at start (free ?b)))
+    :effect (and (at start (not (at ?r ?from))) (at start (not (free ?b))) (at end (at ?r ?to)) (at end (free ?b))))
+  (:durative-action raise
+    :parameters (?r - robot ?p - place)
+    :duration (= ?duration 1)
+    :condition (and (over all (at ?r ?p)) (at start (way ?p ?p)))
+    :effect (and (at end (raised)))))
 """
 PROBLEM = """
 (define (problem patrol-there)
   (:domain patrol)
-  (:objects r1 r2 r3 r4 - robot a b c d - place)
-  (:init (at r1 a) (at r2 a) (at r3 a) (at r4 a) (way a b) (way b c) (way c d) (way d c) (way c b) (way b a))
+  (:objects r1 r2 r3 r4 - robot a b c d - place bc - bridge)
+  (:init (at r1 a) (at r2 a) (at r3 a) (at r4 a) (way a b) (joins bc b c) (way c d) (way d d) (free bc))
   (:goal (at r1 d)))
 """
 BINDINGS = """
 actions:
   drive: {server: "/{r}/drive", resources: ["{r}"]}
+  cross: {server: "/{r}/cross", resources: ["{r}"]}
+  raise: {server: "/{r}/raise", resources: ["{r}"]}
 """
 ROBOTS = ("r1", "r2", "r3", "r4")
 CALLS = 3
@@ -95,8 +108,24 @@ def test_goals_are_carried_out_once_by_the_parts_that_have_their_robots_while_no
         assert client.ended() == 0, f"{client}\n{heir}"
     assert sorted(parts.starts().values()) == [1] * len(ROBOTS) * CALLS
     events = parts.robots.objects()
-    assert not [pair for pair in overlaps(events) if len({action.partition(",")[0] for action in pair}) == 1]
-    assert [[task["goal"] for task in parts.history(part)] for part in (1, 2)] == [
-        ["(at r1 d)", "(at r3 d)"],
-        ["(at r2 d)", "(at r4 d)"],
+    both = {frozenset(pair) for pair in overlaps(events)}
+    assert not [pair for pair in both if len({action.partition("(")[2].partition(",")[0] for action in pair}) == 1]
+    assert not [pair for pair in both if all(action.startswith("cross") for action in pair)]
+    assert {event.get("outcome", "succeeded") for event in events} == {"succeeded"}
+    assert [{task["goal"] for task in parts.history(part)} for part in (1, 2)] == [
+        {"(at r1 d)", "(at r3 d)"},
+        {"(at r2 d)", "(at r4 d)"},
     ]
+
+
+def test_a_goal_about_no_robot_is_carried_out_by_one_part_and_all_know_it(parts: Parts) -> None:
+    nodes = [parts.serve(1).ready(), parts.serve(2).ready()]
+    assert parts.send(1, "(raised)").ended() == 0
+    begun = parts.starts()
+    assert sorted(name.partition("(")[0] for name in begun) == ["cross", "drive", "drive", "raise"]
+    for door in (1, 2):
+        assert parts.send(door, "(raised)").ended() == 0, "\n".join(map(str, nodes))
+    assert parts.starts() == begun
+    refused = parts.send(1, "(and (at r1 b) (at r2 b))")
+    assert refused.ended() != 0
+    assert "robots of the parts 1, 2" in str(refused)

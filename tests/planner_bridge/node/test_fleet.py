@@ -8,6 +8,7 @@ import pytest
 
 from planner_bridge.node.fleet import DealtRobots
 from planner_bridge.pddl import parse_domain, parse_problem
+from pnm.core.machine.bindings import Binding, Bindings
 from pnm.errors import InputError
 from pnm.files.database.place import place_of
 from pnm.journal.fleet import Part
@@ -60,13 +61,24 @@ def test_a_task_goes_to_the_part_that_has_its_robots_or_to_any() -> None:
     ("how", "told"),
     [
         ({"pre": "(not (exists (?o - robot) (at ?o ?to)))"}, "a condition of drive is about every robot"),
-        ({"effect": "(more)"}, "more changes, and is not about a robot"),
         ({"kind": "robots"}, "did you mean 'robot'"),
     ],
 )
 def test_what_cannot_be_divided_is_refused(how: dict[str, str], told: str) -> None:
     with pytest.raises(InputError, match=told):
         dealt(1, **how)
+
+
+def test_parts_share_what_changes_and_is_about_no_robot() -> None:
+    robots = dealt(1, effect="(more)")
+    assert [robots.is_shared(fluent) for fluent in (("more",), ("at", "r1", "a"), ("way", "a", "b"))] == [True, False, False]
+
+
+def test_a_resource_of_several_parts_is_refused() -> None:
+    robots = dealt(1)
+    robots.check(Bindings({"drive": Binding(resources=("{r}/base",))}))
+    with pytest.raises(InputError, match=r"the resource lift of drive is not that of a robot; expected \{r\} in its name"):
+        robots.check(Bindings({"drive": Binding(resources=("lift",))}))
 
 
 @pytest.mark.parametrize("text", ["2", "0/2", "3/2", "a/b", "1/-2"])
