@@ -35,8 +35,10 @@ from pnm.tasks import Code, TaskEnding, TaskRefused, TaskState, TaskStatus, Want
 
 _LOOK: Final = 1.0
 """Seconds at most until a part looks again for goals."""
+_SOON: Final = 0.02
+"""Seconds until it looks when something has changed here."""
 _ANY_VALUE: Final[frozenset[bool | None]] = frozenset({None})
-_WORD: Final = re.compile(r"[^\s()]+")
+_WORD: Final = re.compile(r"[\w-]+")
 _log = logging.getLogger(__name__)
 
 
@@ -123,12 +125,16 @@ class FleetClaims(Claims):
     """The facts that a part shares with others, and the claims of its tasks to them.
 
     The mutable state is whether facts are recorded that come from other parts.
+
+    Args:
+        is_due: is called when there is something for others.
     """
 
-    def __init__(self, fleet: Fleet, world: KnowledgeBase, is_shared: Callable[[Fluent], bool]) -> None:
+    def __init__(self, fleet: Fleet, world: KnowledgeBase, is_shared: Callable[[Fluent], bool], is_due: Callable[[], None]) -> None:
         self._fleet = fleet
         self._world = world
         self._is_shared = is_shared
+        self._is_due = is_due
         self._is_told = False
         known = world.facts()
         fleet.changed({fluent: known.get(fluent, False) for fluent in fleet.claimed})
@@ -143,8 +149,9 @@ class FleetClaims(Claims):
             self._is_told = False
 
     def _changed(self, changes: Mapping[Fluent, Value | Unknown]) -> None:
-        if not self._is_told:
-            self._fleet.changed({fluent: value for fluent, value in changes.items() if self._is_shared(fluent)})
+        if not self._is_told and (shared := {fluent: value for fluent, value in changes.items() if self._is_shared(fluent)}):
+            self._fleet.changed(shared)
+            self._is_due()
 
     def take(self, task: Task, needed: Callable[[], ReadWriteSets]) -> tuple[Conflict, ...] | None:
         """Claim what a plan reads and writes of the shared facts."""
@@ -162,6 +169,7 @@ class FleetClaims(Claims):
     def give(self, task: UUID) -> None:
         """Give back what a task has."""
         self._fleet.give(task)
+        self._is_due()
 
     def others(self) -> tuple[Conflict, ...]:
         """Return the tasks of other parts that have claims."""
@@ -201,10 +209,10 @@ class FleetManager(TaskManager):
         super().__init__(*args, **options)
         self._fleet = fleet
         self._target = robots.target
-        self._claims = self._preemption.claims = FleetClaims(fleet, self._runner.world, robots.is_shared)
+        self._is_due = False
+        self._claims = self._preemption.claims = FleetClaims(fleet, self._runner.world, robots.is_shared, self._look_soon)
         self._came_in: dict[UUID, tuple[Wanted, asyncio.Event]] = {}
         self._beginning: UUID | None = None
-        self._is_due = False
         self._is_well = True
 
     def begin(self, wanted: Wanted, /) -> None:
@@ -245,14 +253,17 @@ class FleetManager(TaskManager):
                 await asyncio.to_thread(sleep, _LOOK)
 
     async def cancel(self, task: UUID | None, /, *, why: str = "cancelled on request") -> None:
-        """End a task, wherever it is carried out; or all that are carried out here."""
-        if task is None or task in self._tasks or task not in self._came_in:
-            return await super().cancel(task, why=why)
+        """End a task, wherever it is carried out; or all that are carried out here, and all that came in here."""
+        elsewhere = [one for one in self._came_in if one not in self._tasks and task in (None, one)]
+        ends = [self._came_in[one][1] for one in elsewhere]
         try:
-            self._fleet.cancel(task, TaskEnding(Code.CANCELLED, why))
+            for one in elsewhere:
+                self._fleet.cancel(one, TaskEnding(Code.CANCELLED, why))
         except JournalError as error:
             raise TaskRefused(str(error)) from error
-        await self._came_in[task][1].wait()
+        if task is None or not elsewhere:
+            await super().cancel(task, why=why)
+        await asyncio.gather(*(end.wait() for end in ends))
 
     async def close(self) -> None:
         """Cancel all tasks that are carried out here, and leave the fleet."""
@@ -282,9 +293,12 @@ class FleetManager(TaskManager):
                 self._fleet.refuse(task.id, ending)
         self._is_over(task.id)
         self._claims.give(task.id)
+
+    def _look_soon(self) -> None:
+        """Look in a moment, when there may be more to look for."""
         if not self._is_due:
             self._is_due = True
-            self._loop.call_soon(self._look)
+            self._loop.call_later(_SOON, self._look)
 
     def _is_over(self, task: UUID) -> None:
         if task in self._came_in:

@@ -22,7 +22,7 @@ from pnm.files.database.driver import NOW, Layout, Rows, SqlQuery
 from pnm.files.database.lock import this_process
 from pnm.files.database.place import Place, ServerUrl
 from pnm.journal.codec import Codec
-from pnm.journal.kept import journal_errors
+from pnm.journal.kept import JournalError, journal_errors
 from pnm.tasks import TaskEnding, Wanted
 
 _GATHER: Final = 0.02
@@ -51,6 +51,8 @@ _LAYOUT: Final = Layout(
 )
 _BEGIN: Final = "INSERT INTO fleet SELECT :parts, :origin WHERE NOT EXISTS (SELECT 1 FROM fleet)"
 _BEGUN: Final = SqlQuery("SELECT parts, origin FROM fleet", (int, str))
+_MINE: Final = SqlQuery("SELECT epoch FROM {journal}.lease WHERE holder = :me FOR SHARE", (int,))
+"""The epoch of the journal of the part, which nobody can end before the transaction does; nothing if another process has it."""
 _LOCK: Final = "LOCK TABLE fleet IN EXCLUSIVE MODE"
 _ADD: Final = (
     f"INSERT INTO goals (task, wall, text, priority, door, target) SELECT :task, {NOW}, :text, :priority, :door, :target"
@@ -171,7 +173,7 @@ class Fleet:
 
     Raises:
         InputError: it was begun with another number of parts, or with other files.
-        JournalError: it cannot be reached.
+        JournalError: it cannot be reached, or this process does not hold the journal of the part.
     """
 
     def __init__(self, place: ServerUrl, codec: Codec, part: Part, origin: str, kept: float) -> None:
@@ -182,10 +184,11 @@ class Fleet:
         self._seen = 0
         self._changed: Facts = {}
         self._given: set[UUID] = set()
+        self._epoch = 0
         with journal_errors(place, "opened"), ExitStack() as opened:
             self._database = opened.enter_context(closing(Database(place, _LAYOUT, is_durable=True)))
             self._bell = opened.enter_context(closing(Database(place, _LAYOUT, read_only=True)))
-            with self._database.transaction():
+            with self._transaction() as self._epoch:
                 self._run(_LOCK)
                 self._run(_BEGIN, parts=part.count, origin=origin)
                 ((parts, begun),) = self._read(_BEGUN)
@@ -322,10 +325,16 @@ class Fleet:
         return value if isinstance(value, TaskEnding) else value.ending
 
     @contextmanager
-    def _transaction(self) -> Iterator[None]:
-        """Enter a transaction over the connection that is there; it is mended by `wait`, in its time and not in that of the event loop."""
+    def _transaction(self) -> Iterator[int]:
+        """Enter a transaction of the holder of the journal of the part; yield its epoch.
+
+        It is over the connection that is there, which `wait` mends: in its time, and not in that of the event loop.
+        """
         with journal_errors(self._place, "reached"), self._database.transaction(is_new=False):
-            yield
+            (epoch,) = next(iter(self._read(_MINE, me=this_process())), (0,))
+            if epoch == 0 or self._epoch not in (0, epoch):
+                raise JournalError(f"another process has taken over the part {self.part} of the fleet {self._place}")
+            yield int(epoch)
 
     def _run(self, sql: str, **values: object) -> Rows:
         return self._database.run(sql, **values)

@@ -7,6 +7,7 @@ from uuid import uuid4
 import pytest
 
 from planner_bridge.node.fleet import DealtRobots
+from planner_bridge.node.options import PARAMETERS, Options
 from planner_bridge.pddl import parse_domain, parse_problem
 from pnm.core.machine.bindings import Binding, Bindings
 from pnm.errors import InputError
@@ -85,6 +86,23 @@ def test_a_resource_of_several_parts_is_refused() -> None:
 def test_what_is_no_part_is_refused(text: str) -> None:
     with pytest.raises(InputError, match="such as 2/4"):
         Part.of(text)
+
+
+@pytest.mark.parametrize(
+    ("given", "told"),
+    [
+        ({"journal": "tasks.journal"}, "expected a journal postgresql://"),
+        ({"journal": ""}, "expected a journal postgresql://"),
+        ({"world": "world.yaml"}, "expected a domain and a problem, and no world of plans"),
+        ({"part": "3/2"}, "such as 2/4"),
+    ],
+)
+def test_a_node_that_cannot_serve_a_part_is_refused(given: dict[str, str], told: str) -> None:
+    values = {parameter.name: parameter.default for parameter in PARAMETERS}
+    fleet = {"domain": "domain.pddl", "problem": "problem.pddl", "journal": "postgresql://host/db", "part": "2/2"}
+    assert Options.of(values | fleet).part == Part(2, 2)
+    with pytest.raises(InputError, match=told):
+        Options.of(values | fleet | given)
 
 
 def test_parts_meet_in_postgresql() -> None:

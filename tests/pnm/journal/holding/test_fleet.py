@@ -8,14 +8,12 @@ from uuid import UUID, uuid4
 
 import pytest
 
-from planner_bridge.tasks.result import TASKS
 from pnm.errors import InputError
 from pnm.files.database.place import ServerUrl
-from pnm.journal.fleet import Fleet, Part
-from pnm.journal.kept import JournalError, Row, TaskRow
-from pnm.journal.records import TaskAccepted, TaskSummary
-from pnm.journal.store import JournalFile
+from pnm.journal.fleet import Fleet
+from pnm.journal.kept import JournalError
 from pnm.tasks import Code, TaskEnding, Wanted
+from tests.support.e2e.hosts.parts import PartJournals
 from tests.support.e2e.hosts.postgres import PostgresServer
 
 BRIDGE, FLAG = ("free", "bc"), ("raised",)
@@ -28,30 +26,19 @@ def place(postgres: PostgresServer) -> ServerUrl:
 
 
 @pytest.fixture
-def opens(place: ServerUrl) -> Iterator[Opens]:
-    fleets: list[Fleet] = []
+def journals(place: ServerUrl) -> Iterator[PartJournals]:
+    journals = PartJournals(place)
+    yield journals
+    journals.close()
 
-    def opened(number: int, count: int = 2, origin: str = "files") -> Fleet:
-        part = Part(number, count)
-        JournalFile(part.journal(place), 0.0).close()
-        fleets.append(Fleet(place, TASKS, part, origin, 1000.0))
-        return fleets[-1]
 
-    yield opened
-    for fleet in fleets:
-        fleet.close()
+@pytest.fixture
+def opens(journals: PartJournals) -> Opens:
+    return journals.open
 
 
 def wanted(**more: object) -> Wanted:
     return Wanted(uuid4(), "(raised)", **more)  # type: ignore[arg-type]
-
-
-def keep(place: ServerUrl, part: Part, one: Wanted, ending: TaskEnding | None = None) -> None:
-    """Have the journal of a part say that a task is accepted, or has ended."""
-    file = JournalFile(part.journal(place), 0.0)
-    text = TASKS.text(TaskSummary(TaskAccepted(one, 1, 0.0), 0, ending))
-    file.append([Row(0.0, "", task=TaskRow(one.id.hex, 0.0, ending is not None, text))], {})
-    file.close()
 
 
 def test_of_many_goals_each_is_taken_by_one_part(opens: Opens) -> None:
@@ -73,7 +60,9 @@ def test_of_many_goals_each_is_taken_by_one_part(opens: Opens) -> None:
     assert sum(map(len, taken.values())) == len(set().union(*taken.values())) == len(goals)
 
 
-def test_a_goal_is_begun_until_the_journal_has_it_and_told_at_its_door_when_that_says_how_it_ended(opens: Opens, place: ServerUrl) -> None:
+def test_a_goal_is_begun_until_the_journal_has_it_and_told_at_its_door_when_that_says_how_it_ended(
+    opens: Opens, journals: PartJournals
+) -> None:
     door, other = opens(1), opens(2)
     goal = wanted(deadline=100.0)
     assert door.add(goal, 2, 1)
@@ -85,10 +74,10 @@ def test_a_goal_is_begun_until_the_journal_has_it_and_told_at_its_door_when_that
         assert taken.id == goal.id
         assert taken.deadline is not None
         assert 0.0 < taken.deadline < 100.0
-    keep(place, other.part, goal)
+    journals.keep(2, goal)
     assert not other.look(5).taken
     ending = TaskEnding(Code.GOAL_REACHED, "the goal holds")
-    keep(place, other.part, goal, ending)
+    journals.keep(2, goal, ending)
     assert not door.look(5).ended
     other.look(5)
     assert door.look(5).ended == [(goal.id, ending)]
@@ -128,10 +117,10 @@ def test_of_two_parts_one_writes_a_fact_and_the_other_knows_it_when_it_may(opens
     assert second.look(0).facts == {}
 
 
-def test_claims_outlive_their_process_as_long_as_the_task(opens: Opens, place: ServerUrl) -> None:
+def test_claims_outlive_their_process_as_long_as_the_task(opens: Opens, journals: PartJournals) -> None:
     first, second = opens(1), opens(2)
     lasting, over = wanted(), wanted()
-    keep(place, first.part, lasting)
+    journals.keep(1, lasting)
     first.claim(lasting.id, (), (BRIDGE,))
     first.claim(over.id, (), (FLAG,))
     second.changed({FLAG: True})
@@ -140,6 +129,9 @@ def test_claims_outlive_their_process_as_long_as_the_task(opens: Opens, place: S
     assert heir.claimed == {BRIDGE}
     assert {claim.fluent for claim in second.others()} == {BRIDGE}
     assert heir.look(0).facts == {FLAG: True}
+    first.changed({BRIDGE: True})
+    with pytest.raises(JournalError, match="another process has taken over the part 1/2"):
+        first.look(5)
 
 
 def test_a_fleet_of_other_parts_or_files_is_refused(opens: Opens) -> None:
