@@ -318,6 +318,8 @@ class FleetManager(TaskManager):
         for self._beginning, wanted in ((wanted.id, wanted) for wanted in news.taken):
             super().begin(wanted)
         self._beginning = None
+        if news.taken:  # there may be more
+            self._look_soon()
         for task in news.cancelled:
             if task in self._tasks:
                 self._stop(self._tasks[task], Code.CANCELLED, "its client has cancelled it")

@@ -58,10 +58,12 @@ _ADD: Final = (
     f"INSERT INTO goals (task, wall, text, priority, door, target) SELECT :task, {NOW}, :text, :priority, :door, :target"
     " WHERE (SELECT count(*) FROM goals WHERE part = 0 AND ending = '') < :most ON CONFLICT DO NOTHING RETURNING 1"
 )
+_FOR_IT: Final = "FROM goals WHERE part = 0 AND ending = '' AND target IN (0, :part)"
 _TAKE: Final = (
-    "UPDATE goals SET part = :part WHERE task IN (SELECT task FROM goals WHERE part = 0 AND ending = '' AND target IN (0, :part)"
-    " ORDER BY priority DESC, number LIMIT :room FOR UPDATE SKIP LOCKED)"
+    f"UPDATE goals SET part = :part WHERE task IN (SELECT task {_FOR_IT} ORDER BY priority DESC, number"
+    f" LIMIT least(:room, (SELECT (count(*) + :parts - 1) / :parts {_FOR_IT})) FOR UPDATE SKIP LOCKED)"
 )
+"""Takes no more than its share at once: the other parts look at the same moment."""
 _TAKEN: Final = SqlQuery(
     f"SELECT text, {NOW} - wall FROM goals WHERE part = :part AND ending = ''"
     " AND NOT EXISTS (SELECT 1 FROM {journal}.tasks WHERE tasks.task = goals.task) ORDER BY priority DESC, number",
@@ -219,7 +221,7 @@ class Fleet:
         part = self.part.number
         with self._exchange() as facts:
             if room:
-                self._run(_TAKE, part=part, room=room)
+                self._run(_TAKE, part=part, parts=self.part.count, room=room)
             taken = self._read(_TAKEN, part=part)
             if self._run(_END.format(journal=self._journal), part=part):
                 self._announce()

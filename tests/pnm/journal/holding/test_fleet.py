@@ -53,6 +53,7 @@ def test_of_many_goals_each_is_taken_by_one_part(opens: Opens) -> None:
             taken[fleet.part.number] = {one.id for one in fleet.look(5).taken}
 
     threads = [Thread(target=take, args=(fleet,)) for fleet in parts]
+    assert len(parts[0].look(100).taken) == 50, "its share of those that wait"
     for thread in threads:
         thread.start()
     for thread in threads:
