@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import signal
 from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
@@ -118,7 +119,7 @@ def test_goals_are_carried_out_once_by_the_parts_that_have_their_robots_while_no
     ]
 
 
-def test_a_goal_about_no_robot_is_carried_out_by_one_part_and_all_know_it(parts: Parts) -> None:
+def test_a_goal_about_no_robot_is_carried_out_by_one_part_and_any_is_cancelled_where_it_came_in(parts: Parts) -> None:
     nodes = [parts.serve(1).ready(), parts.serve(2).ready()]
     assert parts.send(1, "(raised)").ended() == 0
     begun = parts.starts()
@@ -129,3 +130,10 @@ def test_a_goal_about_no_robot_is_carried_out_by_one_part_and_all_know_it(parts:
     refused = parts.send(1, "(and (at r1 b) (at r2 b))")
     assert refused.ended() != 0
     assert "robots of the parts 1, 2" in str(refused)
+    number = next(number for number, robot in enumerate(ROBOTS) if not any(f"({robot}," in name for name in begun))
+    client = parts.send(2 - number % 2, f"(at {ROBOTS[number]} d)")  # which is not the part of the robot
+    parts.robots.until(lambda: len(parts.starts()) > len(begun))
+    client.process.send_signal(signal.SIGINT)
+    assert client.ended() != 0
+    assert "its client has cancelled it" in str(client), str(client)
+    assert [task["code"] for task in parts.history(number % 2 + 1)][-1] == "cancelled"
