@@ -231,7 +231,7 @@ class TaskManager:
 
     def status(self) -> tuple[TaskStatus, ...]:
         """Return the status of all tasks that are not over, in the order in which they are served, and of those that ended last."""
-        return tuple(task.status for task in (*self._in_order(), *self._past))
+        return tuple(task.status for task in (*sorted(self._tasks.values(), key=lambda task: task.rank), *self._past))
 
     def plan(self, task: UUID, /) -> tuple[int, tuple[TaskStep, ...]]:
         """Return the number of plans that the task has had before, and the steps of its plan; none when it has none."""
@@ -281,9 +281,6 @@ class TaskManager:
             over = any(past.id == task for past in self._past)
             raise TaskRefused(f"the task {task} is over" if over else f"there is no task {task}")
         return [self._tasks[task]]
-
-    def _in_order(self) -> list[Task]:
-        return sorted(self._tasks.values(), key=lambda task: task.rank)
 
     def _remember(self, task: Task) -> None:
         self._past = [*self._past[1 - REMEMBERED :], task]

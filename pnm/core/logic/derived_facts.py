@@ -164,7 +164,8 @@ class DerivedFacts:
             judged = dict.fromkeys(fact for read in reads for fact in self._readers_of(read, stratum))
             fallen, falling = dict[Fluent, Truth](), list(judged)
             for fact in falling:  # grows
-                if self._truth[fact] is not False and self._rests_on_any(fact, gone):
+                proof = None if self._truth[fact] is False else self._proofs[fact]
+                if proof and any(not gone.isdisjoint(fluents(part, self, proof.env)) for part in proof.body.parts):
                     fallen[fact], self._truth[fact] = self._truth[fact], False
                     gone.add(fact)
                     falling += self._readers_of(fact, stratum)
@@ -181,10 +182,6 @@ class DerivedFacts:
         for length, known in self._tables.get(fluent[0], {}):
             if length == len(fluent):
                 yield fluent[0], length, known, tuple([fluent[position] for position in known])
-
-    def _rests_on_any(self, fact: Fluent, gone: set[Fluent]) -> bool:
-        proof = self._proofs[fact]
-        return any(not gone.isdisjoint(fluents(part, self, proof.env)) for part in proof.body.parts)
 
     # --- why --------------------------------------------------------------------------------------
 
