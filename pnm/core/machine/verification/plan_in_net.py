@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Collection, Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from typing import Final
 
 from pnm.core.machine.blocks import START, MachineBlocks, PlacedRegion, PlacedStep
@@ -36,21 +36,16 @@ def check_flows(machine: PetriNetMachine) -> None:
     for ordering in kept - wanted:
         raise Unsound(f"the plan does not ask for {ordering}")
     for _, flow in owned:
-        for ordering in _not_kept(flow, kept):
-            raise Unsound(f"no place keeps {ordering}")
-
-
-def _not_kept(flow: Flow, kept: Collection[Ordering]) -> Iterator[Ordering]:
-    """Yield the orderings of a flow that have no place, and do not follow from those that have one."""
-    position = {event: number for number, event in enumerate(in_order(flow))}
-    before: list[list[int]] = [[] for _ in position]
-    steps = ((PlanEvent(step.index, Moment.START), PlanEvent(step.index, Moment.END)) for step in flow.steps)
-    for first, second in (*steps, *((ordering.before, ordering.after) for ordering in flow.orderings if ordering in kept)):
-        before[position[second]].append(position[first])
-    earlier = closure(before)
-    for ordering in flow.orderings:
-        if ordering not in kept and (ordering.delay or not earlier[position[ordering.after]] >> position[ordering.before] & 1):
-            yield ordering
+        position = {event: number for number, event in enumerate(in_order(flow))}
+        before: list[list[int]] = [[] for _ in position]
+        own = ((PlanEvent(step.index, Moment.START), PlanEvent(step.index, Moment.END)) for step in flow.steps)
+        for first, second in (*own, *((ordering.before, ordering.after) for ordering in flow.orderings if ordering in kept)):
+            before[position[second]].append(position[first])
+        earlier = closure(before)
+        for ordering in flow.orderings:
+            follows = not ordering.delay and earlier[position[ordering.after]] >> position[ordering.before] & 1
+            if ordering not in kept and not follows:
+                raise Unsound(f"no place keeps {ordering}")
 
 
 def _flows(plan: PlanGraph) -> list[tuple[int | None, Flow]]:
