@@ -154,7 +154,10 @@ class DerivedFacts:
 
     def _follow(self) -> None:
         """Judge again what has read something that has changed."""
-        reads = [read for fluent in self._changed for read in (fluent, *self._patterns(fluent))]
+        reads: list[_Read] = [*self._changed]
+        for fluent in self._changed:
+            tables = (known for length, known in self._tables.get(fluent[0], {}) if length == len(fluent))
+            reads += ((fluent[0], len(fluent), known, tuple([fluent[position] for position in known])) for known in tables)
         gone, self._changed = set(self._changed), {}
         self._undecided.clear()
         if len(self._truth) > KEPT:
@@ -177,11 +180,6 @@ class DerivedFacts:
                 else:
                     gone.add(fact)
                     reads.append(fact)
-
-    def _patterns(self, fluent: Fluent) -> Iterator[_Read]:
-        for length, known in self._tables.get(fluent[0], {}):
-            if length == len(fluent):
-                yield fluent[0], length, known, tuple([fluent[position] for position in known])
 
     # --- why --------------------------------------------------------------------------------------
 
