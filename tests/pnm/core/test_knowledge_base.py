@@ -119,7 +119,7 @@ def test_a_report_costs_no_more_for_the_world_or_for_what_was_so_before() -> Non
             knowledge.replace({"at"}, {("at", "dock"): True})
         return called()
 
-    assert called_by_reports(4) == called_by_reports(40)
+    assert called_by_reports(400) < 2 * called_by_reports(4)
 
 
 def test_what_is_reported_stays_in_another_world_and_is_not_what_that_begins_with() -> None:

@@ -183,7 +183,7 @@ def test_ways_from_one_to_all_cost_what_there_is_on_them_and_after_a_change_what
                 knowledge.value(ways[0])
             again[length] = max(again.get(length, 0), called())
     assert first[80] < 5 * first[20]
-    assert again[80] == again[20]
+    assert again[80] < 2 * again[20]
 
 
 NODES = tuple(f"n{index}" for index in range(6))
