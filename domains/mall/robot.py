@@ -80,7 +80,8 @@ class Robot:
         if done and name == "hear_answer":
             done = told[2].startswith("yes")
         self.learn(*self.effects(name, told, done), forget=self.undone(name, told, done))
-        outcome = "canceled" if handle.is_cancel_requested else "succeeded" if done else "aborted"
+        # what is done is done, also when it is cancelled a moment later: it will not be asked for again
+        outcome = "succeeded" if done else "canceled" if handle.is_cancel_requested else "aborted"
         self.give(name, call, outcome)
         getattr(handle, {"canceled": "canceled", "succeeded": "succeed", "aborted": "abort"}[outcome])()
         return GroundAction.Result(message="" if done else "she has not understood" if outcome == "aborted" else "cancelled")
