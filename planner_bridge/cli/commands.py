@@ -17,7 +17,7 @@ from planner_bridge.cli import options
 from planner_bridge.cli.options import command
 from pnm.errors import InputError
 from pnm.files.database.place import without_password
-from pnm.files.process import make_streams_safe
+from pnm.files.process import make_streams_safe, own_standard_output
 from pnm.files.text import hide_arguments
 
 ELSEWHERE: Final = {
@@ -282,6 +282,7 @@ def demo(story: str) -> int:
 
 def main() -> None:
     """Run the command line."""
+    own_standard_output()
     make_streams_safe()
     hide_arguments(without_password)
     logging.basicConfig(level=logging.WARNING, format="%(message)s", handlers=[_Warnings()])

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Final
 from planner_bridge.view.serving import Controlled, listening, url_of
 from pnm.errors import InputError
 from pnm.files.database.place import place_of
-from pnm.files.process import make_streams_safe
+from pnm.files.process import make_streams_safe, own_standard_output
 
 if TYPE_CHECKING:
     from planner_bridge.view.app import Channel
@@ -25,6 +25,7 @@ _NICE: Final = 10
 
 def main() -> int:
     """Say where the page is, or what is wrong; read which journal it shows; serve until whoever writes that has gone."""
+    own_standard_output()
     make_streams_safe()
     os.nice(_NICE)
     controlled = Controlled(sys.argv[2])

@@ -85,3 +85,16 @@ def make_streams_safe() -> None:
     """Have everything that this process writes to its standard streams be safe; to be called once, at its beginning."""
     sys.stdout = cast(TextIO, SafeStream(sys.stdout))
     sys.stderr = cast(TextIO, SafeStream(sys.stderr))
+
+
+def own_standard_output() -> None:
+    """Have the standard output be ours alone; to be called once, at the beginning of a program.
+
+    What libraries write past Python, as Fast DDS does with its errors, goes to the standard error: between lines of JSON it would be read
+    as one of them. A file of ours that is called /dev/stdout is still what our output goes to.
+    """
+    if sys.stdout and sys.stderr:  # neither of which was closed by who started us
+        ours = os.dup(1)
+        os.dup2(2, 1)
+        sys.stdout = open(ours, "w", 1 if sys.stdout.isatty() else -1, sys.stdout.encoding, sys.stdout.errors)  # noqa: SIM115
+        sys.argv = [argument.replace("/dev/stdout", f"/dev/fd/{ours}") for argument in sys.argv]

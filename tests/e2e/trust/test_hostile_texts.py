@@ -35,6 +35,15 @@ PLAN = f"actions:\n  say: {{params: [text], server: /say, timeout: 5}}\nplan:\n 
 ANY = st.text(st.characters(exclude_categories=()), max_size=40) | st.just(HOSTILE)
 
 
+FOREIGN = """
+import os, sys
+from planner_bridge.cli import commands
+commands.app = lambda **_: (os.write(1, b"[RTPS_TRANSPORT_SHM Error]\\n"), print("{}", flush=True), open(sys.argv[1], "a").write("[]\\n"))
+commands.main()
+"""
+"""A command in which a library writes to the standard output itself, as Fast DDS does when the port of another process is taken."""
+
+
 @pytest.fixture(scope="module")
 def journal(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The journal of a run with failures, in which every name and message attacks."""
@@ -49,6 +58,12 @@ def plan(tmp_path: Path) -> Path:
     file = tmp_path / "hello.yaml"
     file.write_text(PLAN)
     return file
+
+
+def test_what_a_library_prints_is_not_among_lines_of_ours() -> None:
+    with closing(Program(["-c", FOREIGN, "/dev/stdout"], {})) as program:
+        program.ended()
+    assert (program.out, program.err) == (["{}", "[]"], ["[RTPS_TRANSPORT_SHM Error]"])
 
 
 # --- the functions that texts pass ---
