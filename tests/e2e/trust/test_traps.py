@@ -14,6 +14,7 @@ import pytest
 
 from tests.support.files import ROOT
 from tests.support.processes import Program, ros_domain
+from tests.support.ros.middleware import middleware
 
 COMMAND = str(Path(sys.executable).parent / "pnm")
 FILES = (str(ROOT / "domains/delivery/domain.pddl"), str(ROOT / "problems/delivery/p01.pddl"))
@@ -56,7 +57,7 @@ def test_nothing_of_the_current_folder_is_executed(arguments: tuple[str, ...], t
     if "{journal}" in arguments:
         Program([COMMAND, "run", *FILES, "--quiet", "--journal", str(journal)], {}, cwd=tmp_path).ended()
     with ros_domain() as domain:
-        environment = {"ROS_DOMAIN_ID": str(domain), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
+        environment = middleware(tmp_path, domain)
         command = [COMMAND, *(argument.format(journal=journal) for argument in arguments)]
         with closing(Program(command, environment, cwd=folder)) as program:
             if "--view=0" in arguments:  # which stays

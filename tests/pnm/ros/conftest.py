@@ -13,6 +13,7 @@ from contextlib import ExitStack
 from inspect import iscoroutinefunction, signature
 from itertools import count
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import pytest
@@ -20,22 +21,18 @@ import pytest
 from pnm.knowledge.sensor_file import read_sensing
 from pnm.knowledge.sensor_model import Sensing
 from pnm.ros.node.ros_thread import RosThread
-from tests.support.files import ROOT, written
+from tests.support.files import written
 from tests.support.pddl.sensed_world import PROBLEM
 from tests.support.processes import ros_domain
 from tests.support.ros.child_process import OURS, ChildProcess, Within, run_bounded, run_within
+from tests.support.ros.middleware import middleware
 from tests.support.ros.recording_client import RecordingClient
 from tests.support.ros.serving_node import serving_node
 
-# Fast DDS 2.14 may block for ever when one of two participants of a process is destroyed while it delivers directly to the other.
-os.environ.setdefault("FASTRTPS_DEFAULT_PROFILES_FILE", str(ROOT / "tests/pnm/ros/one_process.xml"))
-
-# Before the first ROS context of this process, and inherited by all of its servers. Killed processes leave
-# shared memory behind, so everything goes over UDP.
+# Before the first ROS context of this process, and inherited by all of its servers. Fast DDS 2.14 may block for ever when one of two
+# participants of a process is destroyed while it delivers directly to the other.
 _own = ExitStack()  # until this process ends
-os.environ["ROS_DOMAIN_ID"] = str(_own.enter_context(ros_domain()))
-os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
-os.environ["FASTDDS_BUILTIN_TRANSPORTS"] = "UDPv4"
+os.environ |= middleware(Path(_own.enter_context(TemporaryDirectory())), _own.enter_context(ros_domain()), within=False)
 
 
 @pytest.hookimpl(tryfirst=True)

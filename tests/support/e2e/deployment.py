@@ -16,16 +16,7 @@ from pnm.core.knowledge_base import KnowledgeBase, parse_statement
 from pnm.core.logic.conditions import evaluate
 from tests.support.files import ROOT, written
 from tests.support.processes import LIMIT, Deployment, P, Program
-
-QUICK = """<?xml version="1.0" encoding="UTF-8"?>
-<profiles xmlns="http://www.eprosima.com/XMLSchemas/fastRTPS_Profiles">
-  <participant profile_name="quick" is_default_profile="true">
-    <rtps><builtin><discovery_config>
-      <leaseAnnouncement><sec>0</sec><nanosec>200000000</nanosec></leaseAnnouncement>
-    </discovery_config></builtin></rtps>
-  </participant>
-</profiles>
-"""
+from tests.support.ros.middleware import middleware
 
 
 @dataclass(frozen=True)
@@ -76,15 +67,8 @@ class RosDomain(Deployment):
     """
 
     def __init__(self, folder: Path, ros_domain: int, *, quick: bool = False) -> None:
-        environment = {
-            "ROS_DOMAIN_ID": str(ros_domain),
-            "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
-            "FASTDDS_BUILTIN_TRANSPORTS": "UDPv4",  # killed processes would leave shared memory behind
-            "XDG_STATE_HOME": str(folder / "state"),  # journals of nodes, with which no other deployment is to go on
-        }
-        super().__init__(folder, environment)
-        if quick:
-            self.environment["FASTRTPS_DEFAULT_PROFILES_FILE"] = str(written(folder / "dds.xml", QUICK))
+        # journals of nodes, with which no other deployment is to go on
+        super().__init__(folder, {**middleware(folder, ros_domain, is_quick=quick), "XDG_STATE_HOME": str(folder / "state")})
 
     def pnm(self, kind: type[P], *arguments: str, within: Sequence[str] = ()) -> P:
         """Start `pnm` with these arguments, by the command it is within if any."""

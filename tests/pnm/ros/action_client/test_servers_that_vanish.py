@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import os
 import subprocess
 import sys
 from time import monotonic
@@ -15,9 +16,9 @@ from pnm.core.machine.requests import OutcomeKind
 from pnm.ros.node.graph import processes
 from pnm.ros.node.ros_thread import RosThread
 from pnm.ros.node.services import until_true
-from tests.support.e2e.hosts.lan import DDS, LEASE
-from tests.support.files import written
+from tests.support.e2e.hosts.lan import LEASE
 from tests.support.processes import LIMIT
+from tests.support.ros.middleware import middleware
 
 
 async def test_a_server_that_comes_late_is_waited_for_and_its_type_is_learned(connect, start, names):
@@ -82,7 +83,7 @@ async def test_a_restarted_server_is_noticed_quickly_and_used_again(connect, sta
 
 
 async def test_a_killed_server_is_lost_and_a_blocked_one_is_not(connect, start, tmp_path):
-    killed = start(FASTRTPS_DEFAULT_PROFILES_FILE=str(written(tmp_path / "dds.xml", DDS)))
+    killed = start(**middleware(tmp_path, int(os.environ["ROS_DOMAIN_ID"]), lease=LEASE))
     client = connect(act=Binding(server=killed.name), busy=Binding(server=start("--threads", "1").name))
     busy = client.send("busy", action="block", arguments=[str(LEASE + 8)])
     sent = client.send("act", action="hang")

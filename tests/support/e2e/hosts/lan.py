@@ -12,23 +12,13 @@ from itertools import count
 from pathlib import Path
 from typing import Final, TypeVar
 
-from tests.support.files import written
 from tests.support.processes import Deployment, Program
+from tests.support.ros.middleware import middleware
 
 P = TypeVar("P", bound=Program)
 
 LEASE: Final = 3
-"""Seconds after which a process that is not heard is taken for gone, in the profile below."""
-DDS: Final = f"""<?xml version="1.0" encoding="UTF-8"?>
-<profiles xmlns="http://www.eprosima.com/XMLSchemas/fastRTPS_Profiles">
-  <participant profile_name="hosts" is_default_profile="true">
-    <rtps><builtin><discovery_config>
-      <leaseDuration><sec>{LEASE}</sec></leaseDuration>
-      <leaseAnnouncement><sec>0</sec><nanosec>200000000</nanosec></leaseAnnouncement>
-    </discovery_config></builtin></rtps>
-  </participant>
-</profiles>
-"""
+"""Seconds after which a process that is not heard is taken for gone, on these hosts."""
 _lans = count()
 
 
@@ -82,13 +72,7 @@ class HostsDeployment(Deployment):
     """
 
     def __init__(self, lan: Lan, folder: Path) -> None:
-        environment = {
-            "ROS_DOMAIN_ID": "0",  # the network is nobody else's
-            "ROS_AUTOMATIC_DISCOVERY_RANGE": "SUBNET",
-            "FASTDDS_BUILTIN_TRANSPORTS": "UDPv4",
-            "FASTRTPS_DEFAULT_PROFILES_FILE": str(written(folder / "dds.xml", DDS)),
-        }
-        super().__init__(folder, environment)
+        super().__init__(folder, middleware(folder, 0, lease=LEASE, has_network=True))  # the network is nobody else's
         self.lan = lan
 
     def _started(self, kind: type[P], host: str, *arguments: str) -> P:
