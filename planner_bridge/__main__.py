@@ -25,7 +25,7 @@ def say_cancelled() -> None:
     """
     os.write(2, b"cancelled\n")
     if "--json" in sys.argv and (untold := UNTOLD.get(sys.argv[1])) is not None:
-        os.write(1, f'{{{untold}{", " if untold else ""}"reason": "cancelled"}}\n'.encode())
+        os.write(sys.stdout.fileno(), f'{{{untold}{", " if untold else ""}"reason": "cancelled"}}\n'.encode())
 
 
 def main() -> None:

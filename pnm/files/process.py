@@ -95,6 +95,6 @@ def own_standard_output() -> None:
     """
     if sys.stdout and sys.stderr:  # neither of which was closed by who started us
         ours = os.dup(1)
-        os.dup2(2, 1)
         sys.stdout = open(ours, "w", 1 if sys.stdout.isatty() else -1, sys.stdout.encoding, sys.stdout.errors)  # noqa: SIM115
+        os.dup2(2, 1)
         sys.argv = [argument.replace("/dev/stdout", f"/dev/fd/{ours}") for argument in sys.argv]
