@@ -188,7 +188,11 @@ class Reachability:
         if together and not is_every:
             whole = ground(condition, env)
             return (whole if truth else Not(whole),)
-        chosen = parts if is_every else [min(parts, key=lambda part: self.cost(self.of(*part)))] if parts else []
+        if not is_every:  # of those that cost the same, one where the way ends
+            parts.sort(
+                key=lambda part: (self.cost(self.of(*part)), (one := literal_of(*part)) is not None and not self.is_end(one.condition))
+            )
+        chosen = parts if is_every else parts[:1]
         lacks = dict.fromkeys(lack for part in chosen for lack in self.lacking(*part, together=together))
         return tuple(lacks) or (condition if truth else Not(condition),)
 
@@ -400,7 +404,7 @@ def _why(problem: Problem, possible: frozenset[Fluent], verdict: str) -> str:
 
 def _reason(reachability: Reachability, problem: Problem, part: Condition) -> tuple[tuple[_Said, ...], list[str]]:
     """Return why a part of the goal cannot be reached, and the actions on the way there: the cheapest way is followed to where it ends."""
-    lacks, way = reachability.lacking(part), list[str]()
+    lacks, way = reachability.lacking(part), list[Achiever]()
     while not (ends := tuple(filter(reachability.is_end, lacks))):
         ways = [reachability.way(literal) for lack in lacks if (literal := literal_of(lack))]
         open = next((found for found in ways if found.by), None)
@@ -415,10 +419,13 @@ def _reason(reachability: Reachability, problem: Problem, part: Condition) -> tu
             achiever = min(near, key=reachability.likelihood) if near else cast("Achiever", open.by)
         else:
             achiever = min((achiever for found in ways for achiever in found.achievers), key=reachability.likelihood)
-        way.append(achiever.name)
+        if achiever in way:
+            break  # what it needs is what it is needed for
+        way.append(achiever)
         lacks = reachability.lacking(achiever.condition, achiever.env)
     endings = (ending for lack in ends or lacks for ending in _endings(reachability, problem, lack))
-    return tuple(endings), list(filter(None, way if way and way[-1] else way[:1]))
+    names = [one.name for one in way]
+    return tuple(endings), list(filter(None, names if names and names[-1] else names[:1]))
 
 
 def _endings(reachability: Reachability, problem: Problem, lack: Condition) -> Iterator[_Said]:

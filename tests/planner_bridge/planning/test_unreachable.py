@@ -78,6 +78,7 @@ def add(rest: str) -> str:
     return f"(:action add :parameters () {rest})"
 
 
+ROUND = "(:action open :parameters () :precondition (q) :effect (r)) (:action add :parameters () :precondition (or (p) (r)) :effect (p))"
 LASTING = "(:durative-action add :parameters () :duration (= ?duration (/ 1 (a))) :condition () :effect (at end (p)))"
 CIRCLE = "(:action one :parameters () :precondition (q) :effect (p)) (:action two :parameters () :precondition (p) :effect (q))"
 BESIDE = "(:action open :parameters () :precondition (q) :effect (r)) (:action go :parameters () :precondition (and (r) (s)) :effect (p))"
@@ -97,6 +98,9 @@ BESIDE = "(:action open :parameters () :precondition (q) :effect (r)) (:action g
         ),
         ("(p)", "", LASTING, "add() would do it, but (a) has no value"),
         ("(p)", "", add(":precondition (or (q) (r)) :effect (p)"), "add() would do it, but (q) is never true"),
+        ("(p)", "", add(":precondition (or (p) (q)) :effect (p)"), "(p) cannot be reached: add() would do it, but (q) is never true"),
+        ("(p)", "", add(":precondition (or (p) (imply (p) (q))) :effect (p)"), ""),
+        ("(p)", "", ROUND, "(p) cannot be reached: add() would do it, but (p) is never true"),
         ("(p)", "", add(":precondition (and (q) (r)) :effect (p)"), "but (q) and (r) are never true"),
         ("(p)", "", add(":effect (when (q) (p))"), "add() would do it, but (q) is never true"),
         ("(both)", "(p)", "(:derived (both) (and (p) (q)))", "(both) cannot be reached: (q) is never true"),
