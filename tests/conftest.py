@@ -19,6 +19,8 @@ from tests.support.files import ROOT
 END_TO_END = ROOT / "tests" / "e2e"
 OVER_ROS = (END_TO_END, ROOT / "tests" / "pnm" / "ros")
 """Tests over a middleware whose discovery promises no time."""
+TOO_LONG = 600
+"""Seconds after which a test hangs, on however busy a machine."""
 
 patient = settings(deadline=None, suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large])  # a busy machine takes its time
 settings.register_profile("commit", patient, max_examples=40)  # others for every commit
@@ -53,6 +55,21 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     for place, file in reversed(places):
         others.insert(place, file)
     items[:] = [item for file in others for item in files[file]]
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_call(item: pytest.Item) -> Iterator[None]:
+    """Have a test that hangs fail where it does, with its stack, and the others go on."""
+
+    def fail(number: int, frame: object) -> None:
+        pytest.fail(f"{item.name} has not ended within {TOO_LONG} s")
+
+    signal.signal(signal.SIGALRM, fail)
+    signal.setitimer(signal.ITIMER_REAL, TOO_LONG, 10)  # again and again, for callbacks of an event loop swallow it
+    try:
+        return (yield)
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0)
 
 
 def pytest_collection_finish() -> None:
