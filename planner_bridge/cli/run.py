@@ -50,7 +50,14 @@ from pnm.tasks import Code, Tasks
 @options.sensing_option
 @options.planning
 @click.option("--sim-time", is_flag=True, help="follow /clock, like nodes with use_sim_time: a paused simulation pauses all limits")
-@click.option("--replans", type=click.IntRange(0), default=10, show_default=True, help="new machines after the first, at most")
+@click.option("--replans", type=click.IntRange(0), default=100, show_default=True, help="new machines after the first, at most")
+@click.option(
+    "--without-progress",
+    type=click.IntRange(0),
+    default=5,
+    show_default=True,
+    help="of those, how many in a row may bring no progress: nothing new is known, and no fewer calls are left",
+)
 @click.option(
     "--patience", type=Seconds(0), default=0.0, show_default=True, help="seconds to wait for facts to change while there is no plan"
 )
@@ -88,6 +95,7 @@ def run(
     improve: float,
     sim_time: bool,
     replans: int,
+    without_progress: int,
     patience: float,
     ask_for_help: bool,
     seconds: float | None,
@@ -117,7 +125,7 @@ def run(
     choice = journal_choice(journal, durability, adopts=adopt) if journal else None
     output = Output.JSON if as_json else Output.ENDING if quiet else Output.NUMBERS if verbose else Output.EVENTS
     policy = OnFailure(on_failure) if on_failure else None
-    limits = Limits(replans=replans, seconds=seconds, patience=patience)
+    limits = Limits(replans=replans, without_progress=without_progress, seconds=seconds, patience=patience)
     failing = policy or OnFailure.DRAIN
     settings = Settings(planner, planner_timeout, improve, limits=limits, on_failure=failing, ask_for_help=ask_for_help, sim_time=sim_time)
     chosen = options.chosen_files(domain, problem, plan_file)

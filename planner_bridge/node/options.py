@@ -58,7 +58,10 @@ class Options:
     planner: str = parameter(DEFAULT_PLANNER, "kairos, any engine of unified-planning, race, or race:NAME,NAME")
     planner_timeout: float = parameter(30.0, "seconds for the planner")
     improve: float = parameter(IMPROVE, "seconds to search for a better plan, at most; 0: the first plan, the same every time")
-    replans: int = parameter(10, "how often the plan of a task may be replaced")
+    replans: int = parameter(100, "how often the plan of a task may be replaced")
+    without_progress: int = parameter(
+        5, "how many replans in a row may bring no progress: nothing new is known, and no fewer calls are left"
+    )
     patience: float = parameter(0.0, "seconds for which a goal without a plan waits for facts to change")
     ask_for_help: bool = parameter(False, "whether a person is asked when a goal cannot be reached: 'try again' or 'give up'")
     max_tasks: int = parameter(8, "how many tasks are planned for and carried out at a time", least=1)

@@ -55,7 +55,7 @@ def make_task_manager(context: NodeContext) -> tuple[TaskManager, ServedProblem]
         options.planner_timeout,
         options.improve,
         bindings=context.bindings,
-        limits=Limits(replans=options.replans, patience=options.patience),
+        limits=Limits(options.replans, options.without_progress, patience=options.patience),
         on_failure=options.on_failure,
         on_change=options.on_change,
     )

@@ -225,7 +225,7 @@ class GoalLoop:
             was_over, under_way, history = execution.is_over, execution.under_way, self._next_history(execution)
             decision: Decision | None = None
             with suppress(*(() if was_over else (PlanGraphError,))):  # what is under way may not fit into the rest: the run has to go on
-                decision = await self._decide(execution, history)
+                decision, history = await self._decide(execution, history)
             if execution.is_over is not was_over:
                 continue
             if decision is None:
@@ -330,18 +330,18 @@ class GoalLoop:
             self._control.enter(state, retry_reason(backoff, execution.result))
         return self._retry_at - now
 
-    async def _decide(self, execution: PlanExecution, history: History) -> Decision:
+    async def _decide(self, execution: PlanExecution, history: History) -> tuple[Decision, History]:
         """Decide what follows the run. A failure makes nothing needless, but facts that have changed may."""
         context, progress, now, world = self._context, execution.progress, self._monitor.now(), snapshot(self._context.present)
         has_failed, limits, unusable = execution.is_over or execution.result.failures, context.settings.limits, context.unusable(history)
         set_off_by = execution.set_off_by
 
-        def decision() -> Decision:
+        def decision() -> tuple[Decision, History]:
             left = progress if has_failed else shortened(progress, world)
-            decided = decide(now, left, world, history, limits, unusable)
+            decided, known = decide(now, left, world, history, limits, unusable)
             if has_failed or isinstance(decided, GiveUp):
-                return decided
-            return replace(decided, because="; ".join(filter(None, (set_off_by, needless(progress, left, world)))))
+                return decided, known
+            return replace(decided, because="; ".join(filter(None, (set_off_by, needless(progress, left, world))))), known
 
         return await self._control.in_thread(decision)
 

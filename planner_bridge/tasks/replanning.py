@@ -16,7 +16,7 @@ from planner_bridge.model.progression import ConstraintProgression, NotApplicabl
 from planner_bridge.ordering.plan_to_graph import deordered
 from pnm.core.execution.call_results import CallResult, Failure
 from pnm.core.knowledge_base import KnowledgeBase, statement_text
-from pnm.core.logic.conditions import evaluate, explanation
+from pnm.core.logic.conditions import conjuncts, evaluate, explanation
 from pnm.core.logic.effects import changes
 from pnm.core.logic.expressions import is_number, same_value
 from pnm.core.logic.trajectory import Constraint
@@ -35,8 +35,10 @@ MAX_SHORTENED: Final = 100
 class Limits:
     """The limits of a task."""
 
-    replans: int = 10
+    replans: int = 100
     """New nets after the first, whether or not a planner was asked."""
+    without_progress: int = 5
+    """Of those, the ones in a row that bring no progress; see `Reached`."""
     seconds: float | None = None
     """From the start of the task, pauses left out, on the clock of its runs. By default an hour, or the result of `allowed`."""
     forbid_after: int = 2
@@ -49,13 +51,34 @@ class Limits:
 
     def __post_init__(self) -> None:
         """Refuse what is no limit."""
-        check_counts("limits", replans=self.replans, forbid_after=self.forbid_after)
+        check_counts("limits", replans=self.replans, without_progress=self.without_progress, forbid_after=self.forbid_after)
         check_seconds("a task", self.seconds)
         check_seconds("a new plan", self.backoff, self.longest_backoff, self.patience)
 
     def allowed(self, planned: float = 0.0) -> float:
         """Return the seconds of a task, given those of its plan: three times as long by default."""
         return max(3600.0, 3.0 * planned) if self.seconds is None else self.seconds
+
+
+@dataclass(frozen=True, slots=True)
+class Reached:
+    """How far a task has come at its replans, and how many in a row have brought no progress.
+
+    Progress is something new that is known, or a plan with fewer calls left than at any replan since. What can be known is finite, and
+    the calls of a plan are: no task replans for ever.
+    """
+
+    known: frozenset[str] = frozenset()
+    """Actions that are forbidden or cannot be carried out, conditions of the goal that hold: whatever was so at some replan."""
+    left: int | None = None
+    """The fewest calls that were left since something new was known; None before the first replan."""
+    in_vain: int = 0
+
+    def at_replan(self, known: Iterable[str], left: int) -> Reached:
+        """Return how far the task has come at one more replan, with so many calls left of its plan."""
+        seen = self.known.union(known)
+        has_progressed = seen > self.known or self.left is None or left < self.left
+        return Reached(seen, left, 0) if has_progressed else replace(self, in_vain=self.in_vain + 1)
 
 
 @dataclass(frozen=True)
@@ -76,6 +99,7 @@ class History:
     replans: int = 0
     fruitless: int = 0
     """Runs in a row in which no call succeeded."""
+    reached: Reached = Reached()
 
     @staticmethod
     def of_plan(given_up: Iterable[GroundAction], unconfirmed: Iterable[GroundAction], limits: Limits) -> History:
@@ -114,14 +138,18 @@ class History:
             self.lost | lost,
             self.replans + 1,
             0 if progress else self.fruitless + 1,
+            self.reached,
         )
 
     def given_up(self, limits: Limits) -> GiveUp | None:
-        """Return why nothing follows; None if the limit of replans is not reached, and everybody knows what the robots have done."""
+        """Return why nothing follows; None if no limit of replans is reached, and everybody knows what the robots have done."""
         if self.lost:
             names = ", ".join(sorted(map(str, self.lost)))
             return GiveUp(f"nobody knows how {names} has ended, and its binding says 'when_lost: abort'", Code.SERVER_UNAVAILABLE)
-        return GiveUp(f"the limit of {limits.replans} replans is reached") if self.replans > limits.replans else None
+        if self.replans > limits.replans:
+            return GiveUp(f"the limit of {limits.replans} replans is reached")
+        in_vain, nothing = counted(limits.without_progress, "replan"), "nothing new is known, and no fewer calls are left"
+        return GiveUp(f"the last {in_vain} brought no progress: {nothing}") if self.reached.in_vain > limits.without_progress else None
 
     def forbidden(self, limits: Limits) -> frozenset[ForbiddenCall]:
         """Return the calls that failed too often, or whose servers may still be at work."""
@@ -248,8 +276,8 @@ def decide(
     history: History,
     limits: Limits,
     unusable: frozenset[ForbiddenCall] = frozenset(),
-) -> Decision:
-    """Decide what follows a run that does not lead to the goal any more, whether or not it has ended.
+) -> tuple[Decision, History]:
+    """Decide what follows a run that does not lead to the goal any more, whether or not it has ended; the history has this replan then.
 
     Args:
         now: the problem from the world as it is known to be.
@@ -257,15 +285,19 @@ def decide(
         unusable: calls whose action server is not there, that need a resource that is withheld, or whose goals lack a value.
     """
     if given_up := history.given_up(limits):
-        return given_up
-    forbidden = history.forbidden(limits) | unusable
+        return given_up, history
+    forbidden, found_out = history.forbidden(limits) | unusable, ""
+    if not (why := times_that_matter(now)):
+        if action := barred(progress, forbidden):
+            why = f"{action} {history.objection(action, limits)}"
+        else:
+            found_out, seen = obstacle(progress, knowledge, (*now.domain.constraints, *now.constraints))
+            why = found_out + seen
+    known = [found_out, *map(str, forbidden), *(str(part) for part in conjuncts(now.goal) if evaluate(part, knowledge) is True)]
+    history = replace(history, reached=history.reached.at_replan(known, len(progress.rest)))
     whole = "; the whole network of tasks is planned for once more" if now.network else ""
-    if by_the_clock := times_that_matter(now):
-        return PlanAgain(forbidden, by_the_clock + whole)
-    if action := barred(progress, forbidden):
-        return PlanAgain(forbidden, f"{action} {history.objection(action, limits)}{whole}")
-    obstacle = why_not(progress, knowledge, constraints=(*now.domain.constraints, *now.constraints))
-    return PlanAgain(forbidden, obstacle + whole) if obstacle else ResumePlan(rest_of(now, progress))
+    follows = PlanAgain(forbidden, why + whole) if why else ResumePlan(rest_of(now, progress))
+    return history.given_up(limits) or follows, history
 
 
 def times_that_matter(now: Problem) -> str:
@@ -297,27 +329,32 @@ def why_not(
     forbidden: frozenset[ForbiddenCall] = frozenset(),
     constraints: tuple[Constraint, ...] = (),
 ) -> str:
-    """Return why the rest of the plan does not lead from what is known to its goal; empty when it does.
+    """Return why the rest of the plan does not lead from what is known to its goal; empty when it does."""
+    if action := barred(progress, forbidden):
+        return f"{action} must not be used"
+    return "".join(obstacle(progress, knowledge, constraints))
+
+
+def obstacle(progress: Progress, knowledge: KnowledgeBase, constraints: tuple[Constraint, ...] = ()) -> tuple[str, str]:
+    """Return what of the rest of the plan does not lead to its goal, and what of the world is against it; both empty when all does.
 
     Walks through the events in an order that the plan allows and applies them to a copy of the state,
     through which the constraints, none of which may speak of times, are progressed.
     """
     plan = progress.plan
-    if action := barred(progress, forbidden):
-        return f"{action} must not be used"
     simulation = Progression(snapshot(knowledge), {number: plan.calls[number].action for number in progress.under_way})
     progression = ConstraintProgression(constraints, simulation.state)
     for event in progress.events:
         try:
             simulation.advance([(event, plan.calls[event.call].action)])
         except NotApplicable as error:
-            return f"{plan.calls[error.call].action} would {error.stage} although {error.observed}"
+            return f"{plan.calls[error.call].action} would {error.stage}", f" although {error.observed}"
         if violated := progression.advance(simulation.state):
-            return f"the {event.moment.value} of {plan.calls[event.call].action} would violate {violated}"
+            return f"the {event.moment.value} of {plan.calls[event.call].action} would violate", f" {violated}"
     if evaluate(plan.goal, simulation.state) is not True:
-        return f"the rest of the plan would leave {explanation(plan.goal, simulation.state)[1]}"
+        return "the rest of the plan would leave", f" {explanation(plan.goal, simulation.state)[1]}"
     missing = progression.unfulfilled(simulation.state)
-    return f"the rest of the plan would leave {', '.join(map(str, missing))} unfulfilled" if missing else ""
+    return ("the rest of the plan would leave", f" {', '.join(map(str, missing))} unfulfilled") if missing else ("", "")
 
 
 def needless(before: Progress, after: Progress, knowledge: KnowledgeBase) -> str:

@@ -47,7 +47,7 @@ def times_sent(simulation: TaskSimulation, task: UUID, call: str = CALL) -> list
 
 
 def with_back_off(first: float, longest: float) -> Settings:
-    return replace(SERVED, limits=Limits(forbid_after=100, replans=100, backoff=first, longest_backoff=longest))
+    return replace(SERVED, limits=Limits(forbid_after=100, without_progress=100, backoff=first, longest_backoff=longest))
 
 
 @pytest.mark.parametrize("goal", [BESIDE, ALONE], ids=["another call is under way", "nothing is under way"])

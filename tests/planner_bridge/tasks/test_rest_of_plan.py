@@ -40,7 +40,7 @@ def decided(problem: Problem, steps: list[tuple[str, ...]], done: int = 0) -> De
     """What follows a run of these steps, the first of which are done, if the world now is as the problem says."""
     graph = plan_graph(problem, Plan(tuple(PlanStep(step[0], step[1:], float(number)) for number, step in enumerate(steps))))
     calls = tuple(CallResult(call, CallOutcome.SUCCEEDED if call.index < done else CallOutcome.WAITING) for call in graph.calls)
-    return decide(problem, Progress(graph, calls), KnowledgeBase(problem.init, objects=problem.objects_by_type), History(), Limits())
+    return decide(problem, Progress(graph, calls), KnowledgeBase(problem.init, objects=problem.objects_by_type), History(), Limits())[0]
 
 
 def clean(room: str) -> Holds:

@@ -58,7 +58,7 @@ class SimulatedSite:
 
     def decide(self, graph: PlanGraph, result: RunResult) -> Decision:
         history = History().after(result.calls, result.failures)
-        return decide(self.now(), Progress(graph, result.calls), self.knowledge.world, history, Limits())
+        return decide(self.now(), Progress(graph, result.calls), self.knowledge.world, history, Limits())[0]
 
 
 Scenario = Callable[[SimulatedSite], Coroutine[Anything, Anything, None]]
