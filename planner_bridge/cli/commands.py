@@ -30,6 +30,7 @@ ELSEWHERE: Final = {
     "import": ("convert", "Write a domain in YAML as PDDL."),
     "init": ("robot", "Write first files for a running robot."),
     "journal": ("journal", "Check, move, copy or prune a journal."),
+    "learn": ("journal", "Learn chances and durations from journals."),
     "pause": ("running_node", "Pause a task: it starts nothing more."),
     "replay": ("journal", "Execute the runs of a journal again."),
     "resume": ("running_node", "Continue a paused task, or a run that has died."),

@@ -1,4 +1,4 @@
-"""`pnm replay` and `pnm history`: what a journal says, without any robot; and `pnm resume` of a run that has died."""
+"""`pnm replay`, `pnm history` and `pnm learn`: what journals say, without any robot; and `pnm resume` of a run that has died."""
 
 from __future__ import annotations
 
@@ -114,6 +114,28 @@ def history(journal: str | None, as_json: bool) -> int:
             _print_task(task, console)
     if not (tasks or as_json):
         console.print("no tasks")
+    return 0
+
+
+@click.command(epilog="Examples: pnm learn run.journal -o rates.yaml; pnm learn robot1.yaml robot2.yaml -o rates.yaml")
+@click.argument("sources", metavar="JOURNAL...", nargs=-1, required=True)
+@click.option("-o", "--output", type=options.FILE, help="the file of the rates, which is added to if it is there; by default the terminal")
+@command
+def learn(sources: tuple[str, ...], output: Path | None) -> int:
+    """Learn chances and durations from journals.
+
+    Counts how calls have ended, and after how many seconds. Each JOURNAL is a file or a postgresql://...; a file of rates (.yaml) is
+    merged. A journal that was counted before adds only what is new in it.
+    """
+    from planner_bridge.explanations.learning import learn as learned  # here, because looking at a journal needs neither
+    from planner_bridge.model.rates import NO_RATES, read_rates
+
+    rates = read_rates(output) if output and output.exists() else NO_RATES
+    for source in sources:
+        with errors_of_journals():
+            is_file = source.endswith((".yaml", ".yml"))
+            rates = rates.merge(read_rates(source)) if is_file else learned(place_of(source), rates)
+    options.write(output, rates.text(), force=True)
     return 0
 
 

@@ -21,6 +21,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager, suppress
+from hashlib import sha256
 from math import inf
 from pathlib import Path
 from threading import Lock
@@ -496,6 +497,10 @@ class KeptJournal:
         for _ in self.tasks():
             """Each is checked."""
         return count
+
+    def id(self) -> str:
+        """Return its identity, which it keeps wherever it is: a digest of when and by which process it was begun."""
+        return sha256(repr(self._read(tables.FIRST_EPOCH)).encode()).hexdigest()[:16]
 
     def home(self) -> Home | None:
         """Return where it belongs, if that is known."""

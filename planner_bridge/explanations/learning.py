@@ -1,0 +1,62 @@
+"""Learning rates from journals: each attempt counts once, when the run that has it is over."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import closing
+from typing import Final
+from uuid import UUID
+
+from planner_bridge.explanations.history import JournalHistory, RunHistory
+from planner_bridge.model.rates import NO_RATES, Call, Counts, End, Rates
+from planner_bridge.tasks.result import TASKS
+from pnm.core.machine.failure_causes import Cause
+from pnm.core.net.no_collection import no_collection
+from pnm.files.database.place import Place
+from pnm.journal.records import RunRetired, RunSucceeded
+from pnm.journal.resume import steps_after
+from pnm.journal.store import KeptJournal
+
+_SEEN: Final = {Cause.TIMED_OUT: End.TIMED_OUT, Cause.EFFECTS_MISSING: End.EFFECTS_MISSING}
+"""Ends that the run has seen, whatever its server says of the request."""
+
+
+def learn(place: Place, rates: Rates = NO_RATES) -> Rates:
+    """Return rates with what a journal tells and they have not counted yet; what is under way is counted when it is over.
+
+    Raises:
+        JournalError: it is no journal, or one of another version, or cannot be read now.
+        PnmError: as `steps_after` does.
+    """
+    with closing(KeptJournal(place)) as kept, no_collection():
+        history, journal, attempts = JournalHistory(lambda key: TASKS.value(kept.part(key))), kept.id(), list[tuple[Call, Counts]]()
+        counted, segments = rates.journals.get(journal, 0), kept.segments()
+        began = max((first for first in segments if first <= counted), default=min(segments, default=1))  # nothing was under way then
+        over = set[UUID]()
+        for step in steps_after(kept, TASKS, history.apply, began - 1):
+            if isinstance(step.record, RunRetired | RunSucceeded) and step.record.run not in over:
+                over.add(step.record.run)
+                if step.number > counted:
+                    attempts += attempts_of(history, history.runs[step.record.run])
+    return rates.grown(journal, max(counted, history.number), attempts)
+
+
+def attempts_of(history: JournalHistory, run: RunHistory) -> Iterator[tuple[Call, Counts]]:
+    """Yield the attempts that a run, which is over, has made or taken over, and whose end is known."""
+    requests = {call: [under_way.request] for call, under_way in run.made.adopted.items()}
+    for call, sent in run.sent.items():
+        requests[call] = [*requests.get(call, ()), *sent]
+    seen: dict[UUID, End] = {}
+    for trouble in (*run.hindrances, *run.failures):
+        call, end = trouble.step.index, _SEEN.get(trouble.cause.cause)
+        if end is not None and call in requests:
+            made = trouble.attempt + (call in run.made.adopted)
+            seen.update((request, end) for request in requests[call][made - 1 : made])
+    for request in (request for sent in requests.values() for request in sent):
+        attempt = history.attempts.get(request)
+        if attempt is None or attempt.run != run.id or attempt.action.operation is not None:
+            continue
+        end = seen.get(request, End(attempt.outcome.kind.value) if attempt.outcome else None)
+        if end is not None:
+            began = attempt.sent if attempt.accepted is None else attempt.accepted
+            yield Call.of(attempt.action, run.source.bindings), Counts.of(end, None if attempt.ended is None else attempt.ended - began)

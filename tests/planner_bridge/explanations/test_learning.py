@@ -1,0 +1,105 @@
+"""Rates from journals: every attempt counts once, whatever is read when."""
+
+from __future__ import annotations
+
+from collections import Counter
+from pathlib import Path
+
+import pytest
+
+from planner_bridge.explanations.history import JournalHistory
+from planner_bridge.explanations.learning import learn
+from planner_bridge.model.rates import NO_RATES, Call, End, Rates, read_rates
+from planner_bridge.pipeline.achieve import achieve
+from pnm.actions.faults import Fault, FaultKind, Faults
+from tests.support.files import ROOT
+
+DELIVERY = ROOT / "domains" / "delivery" / "domain.pddl", ROOT / "problems" / "delivery" / "p01.pddl"
+
+
+def ends_of(rates: Rates) -> Counter[End]:
+    return sum((Counter(counts.ends) for counts in rates.calls.values()), Counter())
+
+
+def run_with(kind: FaultKind, journal: Path, what: str = "move", times: int = 1, **more: object) -> Rates:
+    assert achieve(*DELIVERY, faults=Faults((Fault(what, kind, times=times, **more),)), journal=journal).goal_reached  # type: ignore[arg-type]
+    return learn(journal)
+
+
+def test_every_attempt_counts_once(delivery: Path) -> None:
+    history, rates = JournalHistory.read(delivery), learn(delivery)
+    sent = [attempt for attempt in history.attempts.values() if attempt.action.operation is None and attempt.ended is not None]
+    assert ends_of(rates) == Counter(End(attempt.outcome.kind.value) for attempt in sent if attempt.outcome)
+    assert ends_of(rates)[End.ABORTED] > 1
+    taken = sum(attempt.ended - attempt.accepted for attempt in sent if attempt.ended is not None and attempt.accepted is not None)
+    milliseconds = sum(counts.took.total + counts.failed_after.total for counts in rates.calls.values())
+    assert milliseconds / 1000.0 == pytest.approx(taken, abs=0.001 * len(sent))
+
+
+@pytest.mark.parametrize(
+    ("kind", "end"),
+    [
+        (FaultKind.ABORT, End.ABORTED),
+        (FaultKind.REJECT, End.REJECTED),
+        (FaultKind.HANG, End.TIMED_OUT),
+        (FaultKind.NO_EFFECT, End.EFFECTS_MISSING),
+    ],
+)
+def test_an_attempt_ends_as_the_run_has_seen_it(tmp_path: Path, kind: FaultKind, end: End) -> None:
+    counted = ends_of(run_with(kind, tmp_path / "j"))
+    assert counted[end] == 1
+    assert counted.keys() == {end, End.SUCCEEDED}
+
+
+def test_journals_add_up_and_none_counts_twice(tmp_path: Path) -> None:
+    one, other = (tmp_path / name for name in ("one", "other"))
+    first, second = run_with(FaultKind.ABORT, one), run_with(FaultKind.REJECT, other)
+    both = learn(other, learn(one))
+    assert first.merge(second) == learn(one, learn(other)) == both
+    assert len(both.journals) == 2
+    assert learn(one, learn(other, both)) == both.merge(first) == both
+
+
+def test_a_journal_that_has_grown_adds_what_is_new(tmp_path: Path) -> None:
+    journal = tmp_path / "j"
+    before = run_with(FaultKind.ABORT, journal)
+    after = run_with(FaultKind.REJECT, journal)
+    assert ends_of(after)[End.REJECTED] == ends_of(after)[End.ABORTED] == 1
+    assert learn(journal, before) == after
+    assert [*before.journals] == [*after.journals], "it is the same one"
+    assert before.merge(after) == after
+
+
+def test_a_copy_is_the_same_journal(tmp_path: Path) -> None:
+    from pnm.journal.store import copy_journal
+
+    rates = run_with(FaultKind.ABORT, tmp_path / "j")
+    copy_journal(tmp_path / "j", tmp_path / "copy")
+    assert learn(tmp_path / "copy", rates) == rates == learn(tmp_path / "copy")
+
+
+def test_chances_of_simulated_faults_are_found_again(tmp_path: Path) -> None:
+    rates = NO_RATES
+    for number in range(8):
+        faults = Faults((Fault("move", FaultKind.ABORT, chance=0.3),), seed=number)
+        achieve(*DELIVERY, faults=faults, journal=tmp_path / str(number))
+        rates = learn(tmp_path / str(number), rates)
+    low, high = rates.chance(Call("", "move")).interval()
+    assert low < 0.7 < high
+    assert rates.chance(Call("", "move")).rests.n > 30
+
+
+def test_the_command_adds_to_its_file(tmp_path: Path, delivery: Path) -> None:
+    from click.testing import CliRunner
+
+    from planner_bridge.cli.commands import app
+
+    file, other = tmp_path / "rates.yaml", tmp_path / "other.yaml"
+    run_with(FaultKind.ABORT, tmp_path / "j")
+    for given in ([str(delivery)], [str(delivery)], [str(tmp_path / "j")]):
+        result = CliRunner().invoke(app, ["learn", *given, "-o", str(file)])
+        assert result.exit_code == 0, result.output
+    assert read_rates(file) == learn(tmp_path / "j", learn(delivery))
+    assert CliRunner().invoke(app, ["learn", str(file), "-o", str(other)]).exit_code == 0
+    assert other.read_text() == file.read_text()
+    assert "not a database" in CliRunner().invoke(app, ["learn", str(DELIVERY[0])]).output
