@@ -128,14 +128,20 @@ def learn(sources: tuple[str, ...], output: Path | None) -> int:
     merged. A journal that was counted before adds only what is new in it.
     """
     from planner_bridge.explanations.learning import learn as learned  # here, because looking at a journal needs neither
-    from planner_bridge.model.rates import NO_RATES, read_rates
+    from planner_bridge.model.rates import NO_RATES, Rates, read_rates, update_rates
 
-    rates = read_rates(output) if output and output.exists() else NO_RATES
-    for source in sources:
-        with errors_of_journals():
-            is_file = source.endswith((".yaml", ".yml"))
-            rates = rates.merge(read_rates(source)) if is_file else learned(place_of(source), rates)
-    options.write(output, rates.text(), force=True)
+    def more(rates: Rates) -> Rates:
+        for source in sources:
+            with errors_of_journals():
+                is_file = source.endswith((".yaml", ".yml"))
+                rates = rates.merge(read_rates(source)) if is_file else learned(place_of(source), rates)
+        return rates
+
+    if output is None:
+        print(more(NO_RATES).text(), end="")
+    else:
+        update_rates(output, more)
+        print(f"wrote {output}", file=sys.stderr)
     return 0
 
 
@@ -251,6 +257,7 @@ _ACTS: Final = {
     "--force": "replaces files",
     "--timeline": "writes a file",
     "--journal": "writes a journal",
+    "--learn": "adds to a file of rates",
     "--knowledge": "reads and writes a database",
     "--view": "serves a page",
     "--view-controls": "lets people control it on that page",

@@ -19,7 +19,7 @@ from planner_bridge.cli.options import ADOPT, GIVEN, Seconds, command
 from planner_bridge.cli.run_console import ConsoleObserver, print_result
 from planner_bridge.pipeline.achieve import Actions, achieve
 from planner_bridge.pipeline.carry_out import carry_out
-from planner_bridge.pipeline.loading import bindings_for
+from planner_bridge.pipeline.loading import RATES, bindings_for
 from planner_bridge.planning.solve import check_planner
 from planner_bridge.tasks.replanning import Limits
 from planner_bridge.tasks.result import Stopwatch, TaskResult
@@ -70,6 +70,8 @@ from pnm.tasks import Code, Tasks
 )
 @click.option("--answer", "answers", metavar="NAME=VALUE", multiple=True, help="an answer in place of a person's; several are used in turn")
 @options.journal_options
+@options.rates_option
+@options.learn_option
 @options.timeline_option
 @options.force_option
 @options.view_option
@@ -104,6 +106,8 @@ def run(
     journal: Place | None,
     durability: str | None,
     adopt: bool,
+    rates: Path | None,
+    learns: bool,
     timeline: Path | None,
     force: bool,
     view: int | None,
@@ -134,7 +138,8 @@ def run(
     controlled = options.controlled_by(view, Controlled.RUN, controls=controls)
     console, stopwatch = SafeConsole(), Stopwatch()
     begin: Callable[..., TaskResult]
-    with looked_at(choice, view, timeline, controlled, force=force) as (kept, page):
+    learned = rates or (chosen if isinstance(chosen, Path) else chosen[0]).parent / RATES if learns else None
+    with looked_at(choice, view, timeline, learned, controlled, force=force) as (kept, page):
         if isinstance(chosen, Path):
             check_planner(planner)  # now, not when a plan is given up that took an hour
             settings = replace(settings, bindings=read_bindings(bindings) if bindings else settings.bindings)
@@ -179,17 +184,18 @@ def journal_choice(place: Place, durability: str | None, *, adopts: bool) -> Jou
 
 @contextmanager
 def looked_at(
-    journal: JournalChoice | None, view: int | None, timeline: Path | None, controlled: Controlled = Controlled.NOTHING, *, force: bool
+    journal: JournalChoice | None, view: int | None, timeline: Path | None, rates: Path | None, controlled: Controlled, *, force: bool
 ) -> Iterator[tuple[JournalChoice | None, PageProcess | None]]:
-    """Show a run on a page while this is entered, and draw its timeline at the end.
+    """Show a run on a page while this is entered; at the end, draw its timeline and learn from it.
 
     Args:
         journal: that of the run, if it has one; where it is looked at it has one in any case, which is kept no longer than this.
+        rates: the file of what is learned.
 
     Yields:
         The journal, and the page.
     """
-    if view is None and timeline is None:
+    if view is None and timeline is None and rates is None:
         yield journal, None
         return
     if timeline is not None:
@@ -206,6 +212,11 @@ def looked_at(
             from planner_bridge.view.story import timelines_svg  # here, because most runs are not drawn
 
             options.write(timeline, timelines_svg(kept.place, only_last=True), force=force)
+        if rates is not None:
+            from planner_bridge.explanations.learning import learn  # here, because nothing is learned from most runs
+            from planner_bridge.model.rates import update_rates
+
+            update_rates(rates, partial(learn, kept.place))
 
 
 class _RunOnPage(TaskObserver):

@@ -30,10 +30,8 @@ def learn(place: Place, rates: Rates = NO_RATES) -> Rates:
     """
     with closing(KeptJournal(place)) as kept, no_collection():
         history, journal, attempts = JournalHistory(lambda key: TASKS.value(kept.part(key))), kept.id(), list[tuple[Call, Counts]]()
-        counted, segments = rates.journals.get(journal, 0), kept.segments()
-        began = max((first for first in segments if first <= counted), default=min(segments, default=1))  # nothing was under way then
-        over = set[UUID]()
-        for step in steps_after(kept, TASKS, history.apply, began - 1):
+        counted, over = rates.journals.get(journal, 0), set[UUID]()
+        for step in steps_after(kept, TASKS, history.apply, 0):
             if isinstance(step.record, RunRetired | RunSucceeded) and step.record.run not in over:
                 over.add(step.record.run)
                 if step.number > counted:

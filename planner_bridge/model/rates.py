@@ -7,10 +7,12 @@ are sums of those of its calls.
 
 from __future__ import annotations
 
+import fcntl
 import json
+import os
 import re
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from enum import Enum, StrEnum
 from functools import cached_property
@@ -21,7 +23,8 @@ from typing import Final, NamedTuple, TypeVar
 
 from pnm.core.machine.bindings import Bindings
 from pnm.core.machine.plan_graph import GroundAction
-from pnm.errors import InputError
+from pnm.errors import InputError, Position
+from pnm.files.text import write_private
 from pnm.files.yaml_nodes import Mapped, load_yaml
 
 K = TypeVar("K")
@@ -368,6 +371,25 @@ def read_rates(path: Path | str) -> Rates:
             found = {End(name): ends.whole(name, 0) for name in ends.nodes}
             calls.append((Call(server, action, tuple(arguments)), Counts(found, _times(entry, "took"), _times(entry, "failed_after"))))
     return Rates(_summed(calls), {id: journals.whole(id, 0) for id in journals.nodes})
+
+
+def update_rates(path: Path, change: Callable[[Rates], Rates]) -> None:
+    """Have a file of rates, which is made if there is none, changed as a whole: by one process at a time, and never half.
+
+    Raises:
+        InputError: it cannot be read or written.
+    """
+    try:
+        folder = os.open(path.parent, os.O_RDONLY | os.O_CLOEXEC)
+        try:
+            fcntl.flock(folder, fcntl.LOCK_EX)
+            before = read_rates(path) if path.exists() else NO_RATES
+            if (after := change(before)) != before or not path.exists():
+                write_private(path, after.text())
+        finally:
+            os.close(folder)
+    except OSError as error:
+        raise InputError(f"cannot be written: {error.strerror}", Position(str(path))) from error
 
 
 def _times(entry: Mapped, key: str) -> Times:

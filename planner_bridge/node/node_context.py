@@ -25,6 +25,7 @@ from planner_bridge.planning.solve import check_planner
 from pnm.actions.backend import check_ready
 from pnm.core.logic.domain import Vocabulary
 from pnm.core.machine.bindings import Bindings
+from pnm.files.database.place import Place
 from pnm.journal.kept import Fenced
 from pnm.journal.records import SharedBegan
 from pnm.journal.replay import Replay
@@ -57,6 +58,8 @@ class NodeContext:
     """The source of the world at the start of the node."""
     robots: DealtRobots | None
     """The robots of a fleet, if the node serves a part of one."""
+    place: Place | None
+    """Where the tasks are kept."""
 
     def begin_journal(self, anew: Callable[[], None] = lambda: None, loaded: tuple[str, ...] = ()) -> None:
         """Begin the journal anew, in the world as `anew` leaves it; it is not that of the files if other domain and problem were loaded."""
@@ -126,7 +129,7 @@ async def open_context(
     runner = PlanRunner(programs, backend, knowledge, sources, journal, replay)
     runner.prefix = prefix
     await check_ready(backend, runner.actions)
-    context = NodeContext(options, files, problem, runner, bindings, backend, sources, replay, actions, plan_actions, origin, robots)
+    context = NodeContext(options, files, problem, runner, bindings, backend, sources, replay, actions, plan_actions, origin, robots, place)
     if replay is None:
         context.begin_journal()
     return context

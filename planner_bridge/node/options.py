@@ -50,6 +50,8 @@ class Options:
         choices=tuple(DURABILITIES),
     )
     """None for the default of the place of the journal."""
+    rates: Path | None = parameter("", "file of the rates that `pnm learn` writes; by default rates.yaml beside the domain")
+    learn: bool = parameter(False, "whether to add to the rates how calls ended, and after how many seconds, when a task is over")
     keep_days: float = parameter(KEPT / DAY, "days for which the journal keeps old records; tasks are listed for longer")
     adopt: bool = parameter(False, "whether to take a journal of another node or computer, a copy, or one without its last records")
     lease: float = parameter(LEASE, "seconds after which another node takes over a journal in PostgreSQL from a silent one", least=1)
@@ -88,7 +90,7 @@ class Options:
     def of(cls, values: Mapping[str, ParameterValue]) -> Options:
         """Convert the values of parameters, which have the right types; raise an `InputError` if they contradict each other."""
         given: dict[str, Any] = dict(values)
-        for name in ("domain", "problem", "bindings", "sensing", "goals", "problems", "world"):
+        for name in ("domain", "problem", "bindings", "sensing", "goals", "problems", "world", "rates"):
             given[name] = Path(given[name]).expanduser() if given[name] else None
         given["knowledge"] = place_of(given["knowledge"]) if given["knowledge"] else None
         if (given["domain"] is None) != (given["problem"] is None):
@@ -97,6 +99,8 @@ class Options:
             raise InputError("there is nothing to serve; expected a domain and a problem, or a world of plans, or both")
         if given["goals"] and given["domain"] is None:
             raise InputError("named goals need a domain and a problem; expected both, or no goals")
+        if given["learn"] and given["journal"] == "none":
+            raise InputError("what is learned comes from the journal; expected one, or not to learn")
         given["world_name"] = given["world_name"] or None
         if part := given["part"] or None:
             part = Part.of(part)

@@ -14,8 +14,11 @@ from pnm.core.logic.domain import Vocabulary
 from pnm.errors import InputError, Tolerated
 
 if TYPE_CHECKING:
+    from planner_bridge.model.rates import Rates
     from pnm.core.machine.bindings import Bindings
 
+RATES: Final = "rates.yaml"
+"""The file of rates beside a domain."""
 _SHOWN: Final = 20
 """Warnings about a file that are shown, at most."""
 
@@ -61,6 +64,14 @@ def bindings_beside(domain: Path | None) -> Path | None:
     """Return the ``bindings.yaml`` beside the domain, if there is one."""
     beside = domain.parent / "bindings.yaml" if domain else None
     return beside if beside and os.path.isfile(beside) else None  # unlike `Path.is_file` also for names that are too long
+
+
+def rates_for(domain: Path | None, file: Path | None) -> Rates:
+    """Return rates from a file; without one, from ``rates.yaml`` beside the domain if that exists."""
+    from planner_bridge.model.rates import NO_RATES, read_rates  # here, because a search for a plan needs no rates
+
+    beside = domain.parent / RATES if domain else None
+    return read_rates(file) if file else read_rates(beside) if beside and os.path.isfile(beside) else NO_RATES
 
 
 def warning_lines(warnings: Iterable[Tolerated]) -> Iterator[str]:

@@ -3,16 +3,26 @@
 from __future__ import annotations
 
 from collections import Counter
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from uuid import uuid4
 
 import pytest
+from click.testing import CliRunner
 
+from planner_bridge.cli.commands import app
 from planner_bridge.explanations.history import JournalHistory
 from planner_bridge.explanations.learning import learn
-from planner_bridge.model.rates import NO_RATES, Call, End, Rates, read_rates
+from planner_bridge.model.rates import NO_RATES, Call, Counts, End, Rates, read_rates, update_rates
+from planner_bridge.node.node_journal import Learner
 from planner_bridge.pipeline.achieve import achieve
+from planner_bridge.pipeline.loading import rates_for
 from pnm.actions.faults import Fault, FaultKind, Faults
+from pnm.errors import InputError
+from pnm.journal.store import copy_journal
+from pnm.tasks import Code, TaskEnding
 from tests.support.files import ROOT
+from tests.support.runs.simulated import on_a_loop
 
 DELIVERY = ROOT / "domains" / "delivery" / "domain.pddl", ROOT / "problems" / "delivery" / "p01.pddl"
 
@@ -71,8 +81,6 @@ def test_a_journal_that_has_grown_adds_what_is_new(tmp_path: Path) -> None:
 
 
 def test_a_copy_is_the_same_journal(tmp_path: Path) -> None:
-    from pnm.journal.store import copy_journal
-
     rates = run_with(FaultKind.ABORT, tmp_path / "j")
     copy_journal(tmp_path / "j", tmp_path / "copy")
     assert learn(tmp_path / "copy", rates) == rates == learn(tmp_path / "copy")
@@ -90,10 +98,6 @@ def test_chances_of_simulated_faults_are_found_again(tmp_path: Path) -> None:
 
 
 def test_the_command_adds_to_its_file(tmp_path: Path, delivery: Path) -> None:
-    from click.testing import CliRunner
-
-    from planner_bridge.cli.commands import app
-
     file, other = tmp_path / "rates.yaml", tmp_path / "other.yaml"
     run_with(FaultKind.ABORT, tmp_path / "j")
     for given in ([str(delivery)], [str(delivery)], [str(tmp_path / "j")]):
@@ -103,3 +107,45 @@ def test_the_command_adds_to_its_file(tmp_path: Path, delivery: Path) -> None:
     assert CliRunner().invoke(app, ["learn", str(file), "-o", str(other)]).exit_code == 0
     assert other.read_text() == file.read_text()
     assert "not a database" in CliRunner().invoke(app, ["learn", str(DELIVERY[0])]).output
+
+
+def test_runs_learn_as_they_end(tmp_path: Path) -> None:
+    for file in DELIVERY:
+        (tmp_path / file.name).write_bytes(file.read_bytes())
+    domain, problem = (str(tmp_path / file.name) for file in DELIVERY)
+    for number in (1, 2):
+        assert CliRunner().invoke(app, ["run", domain, problem, "--learn", "-q"]).exit_code == 0
+        rates = rates_for(tmp_path / "domain.pddl", None)
+        assert len(rates.journals) == number, "each run has had a journal"
+    assert ends_of(rates) == {End.SUCCEEDED: 16}
+    elsewhere = tmp_path / "elsewhere.yaml"
+    assert CliRunner().invoke(app, ["run", domain, problem, "--learn", "--rates", str(elsewhere), "-q"]).exit_code == 0
+    assert ends_of(rates_for(None, elsewhere)) == {End.SUCCEEDED: 8}
+    assert rates_for(tmp_path / "domain.pddl", None) == rates
+
+
+@on_a_loop
+async def test_a_node_learns_when_a_task_is_over(delivery: Path, tmp_path_factory: pytest.TempPathFactory) -> None:
+    file = tmp_path_factory.mktemp("node") / "rates.yaml"
+    learner = Learner(delivery, file)
+    assert not file.exists()
+    learner.ended(uuid4(), TaskEnding(Code.GOAL_REACHED, ""))
+    await learner.close()
+    assert read_rates(file) == learn(delivery)
+    spoiled = Learner(file, file)  # which is no journal
+    spoiled.ended(uuid4(), TaskEnding(Code.GOAL_REACHED, ""))
+    await spoiled.close()
+    assert read_rates(file) == learn(delivery)
+
+
+def test_processes_that_learn_at_once_lose_nothing(tmp_path: Path) -> None:
+    def more(rates: Rates) -> Rates:
+        return rates.grown(str(len(rates.journals)), 1, [(Call("s", "move"), Counts.of(End.SUCCEEDED, 1.0))])
+
+    with ThreadPoolExecutor(4) as threads:
+        for done in [threads.submit(update_rates, tmp_path / "rates.yaml", more) for _ in range(20)]:
+            done.result()
+    assert read_rates(tmp_path / "rates.yaml").calls[Call("s", "move")].ends == {End.SUCCEEDED: 20}
+    assert [file.name for file in tmp_path.iterdir()] == ["rates.yaml"]
+    with pytest.raises(InputError, match="cannot be written: No such file or directory"):
+        update_rates(tmp_path / "nowhere" / "rates.yaml", more)
