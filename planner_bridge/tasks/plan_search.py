@@ -391,8 +391,8 @@ class PlanSearch:
         settings = self._context.settings
         # The planner may not take longer than the task has left.
         timeout = max(0.01, min(settings.planner_timeout * share, self._monitor.limit.left))
-        planner, improve, executor = settings.planner, settings.improve, settings.executor
-        return partial(solve, problem, planner=planner, timeout=timeout, improve=improve, cancel=stop, executor=executor)
+        planner, improve, executor, search = settings.planner, settings.improve, settings.executor, settings.solver or solve
+        return partial(search, problem, planner=planner, timeout=timeout, improve=improve, cancel=stop, executor=executor)
 
 
 def _needed(now: Problem, plan: Plan, under_way: list[ActionCall]) -> Footprint:

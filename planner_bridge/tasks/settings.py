@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from enum import Enum
 from typing import TYPE_CHECKING
@@ -92,6 +93,8 @@ class Settings:
     """Whether a person is asked when the task cannot go on: at the terminal, or over ROS 2 topics where there is none."""
     sim_time: bool = False
     """Whether time is that of a simulation, from ``/clock``; with the action servers of ROS 2 only."""
+    solver: Callable[..., PlanningResult] | None = None
+    """Searches for plans in place of `planner_bridge.planning.solve.solve`, with the same arguments."""
 
     def __post_init__(self) -> None:
         """Refuse what has another meaning than it seems to have, such as a name in place of what it names."""

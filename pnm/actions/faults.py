@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from enum import Enum
 from pathlib import Path
+from random import Random
 from typing import Literal
 
 from pnm.core.knowledge_base import parse_statement
@@ -46,6 +47,10 @@ class Fault:
     ignores_cancel: bool = False
     chance: float = 1.0
     """The probability that each of these fails."""
+    seconds: float | None = None
+    """Seconds of the world until its server tells the end; by default as the duration of the action has it."""
+    for_good: bool = False
+    """Whether an abort is for a reason that another attempt would meet again."""
 
     def concerns(self, action: GroundAction) -> bool:
         """Return whether the fault applies to this ground action."""
@@ -74,6 +79,8 @@ class Faults:
     changes: tuple[HiddenChange, ...] = ()
     seed: int = 0
     """Seed of the random numbers: with the same one the same requests fail."""
+    drawn: Callable[[GroundAction, Random], Fault | None] | None = None
+    """Draws the fault of each request, in place of those above."""
 
 
 NO_FAULTS = Faults()

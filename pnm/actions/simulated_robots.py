@@ -292,17 +292,22 @@ class SimulatedRobots:
             self._fail(job, OutcomeKind.LOST, "the server went away")
 
         duration = self.untimed if job.request.action.duration is None else job.request.action.duration
-        kind = job.fault.kind if job.fault else None
+        fault = job.fault
+        kind = fault.kind if fault else None
         if kind is FaultKind.HANG:
             return
         if kind is FaultKind.SLOW:
             duration *= SLOWNESS
+        until_fault = duration / 2
+        if fault and fault.seconds is not None:
+            duration = until_fault = fault.seconds
         job.lasts = duration / self.speed
         match kind:
             case FaultKind.ABORT:
-                job.timer = self._later(duration / 2, self._fail, job, OutcomeKind.ABORTED, "the action failed")
+                outcome = OutcomeKind.ABORTED_FOR_GOOD if fault and fault.for_good else OutcomeKind.ABORTED
+                job.timer = self._later(until_fault, self._fail, job, outcome, "the action failed")
             case FaultKind.LOSE_SERVER:
-                job.timer = self._later(duration / 2, lose)
+                job.timer = self._later(until_fault, lose)
             case _:
                 job.timer = self._later(duration, self._succeed, job)
 
@@ -347,6 +352,8 @@ class SimulatedRobots:
 
     def _fault(self, action: GroundAction) -> Fault | None:
         """Return the fault that applies to this request; every fault counts the requests it concerns."""
+        if self.faults.drawn is not None:
+            return self.faults.drawn(action, self._chance)
         chosen = None
         for position, fault in enumerate(self.faults.faults):
             if fault.concerns(action):
