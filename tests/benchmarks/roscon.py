@@ -1,42 +1,41 @@
 """The four problems of the ROSCon 2024 deliberation workshop, in PyRoboSim's simulator. Not a test: `python -m tests.benchmarks.roscon`.
 
-Each seed is a run of the real planner and executor on a world in this process, without drawing or waiting, with the household's bindings
-and sensors. Whether its goal is reached is judged by the simulator's own state: a run that says so wrongly is a false success.
-Beside it stand two baselines: the workshop's linear solution, which ends with the first action that fails, and the same with retries.
+Each seed is a run on a world in this process, without drawing or waiting. Three ways are taken: the real planner and executor, with the
+household's bindings and sensors; the workshop's own behaviour tree; and a tree by hand with py_trees. Whether the goal is reached is judged
+by the simulator's own state: a run that says so wrongly is a false success. Driving is in seconds at the speed of the robot.
 """
 
 from __future__ import annotations
 
 import argparse
+import os
 import time
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from functools import partial
+from importlib.util import find_spec
 from itertools import repeat
 from pathlib import Path
-from statistics import mean
-from typing import Final
+from statistics import mean, median
+from typing import TYPE_CHECKING, Final
+
+from pyrobosim.core import World
 
 from tests.support.e2e.household.in_process import in_world, pursue
-from tests.support.e2e.household.simulator import has_reached, load_world, perform, without_waiting
-from tests.support.files import SHARED
+from tests.support.e2e.household.simulator import Work, counted, has_reached, load_world, without_waiting
+from tests.support.e2e.household.workshop_tree import WorkshopTree
+from tests.support.files import ROOT, SHARED
 
-SNACKS: Final = ("navigate pantry", "pick snacks0", "navigate table", "place snacks0")
-WASTE: Final = (
-    *("navigate hall_dining_trash", "open hall_dining_trash", "navigate dumpster", "open dumpster"),
-    *("navigate desk", "pick waste0", "navigate dumpster", "place waste0"),
-    *("navigate bin", "pick waste1", "navigate dumpster", "place waste1", "close dumpster"),
-)
-BREAKFAST: Final = (
-    *("navigate pantry", "open pantry", "detect bread0", "pick bread0", "navigate table", "place bread0"),
-    *("navigate fridge", "open fridge", "detect butter0", "pick butter0", "navigate table", "place butter0"),
-    *("navigate fridge", "close fridge", "navigate pantry", "close pantry"),
-)
-CHARGE: Final = ("navigate hall_closet_dining", "open hall_closet_dining", "navigate charger")
-LINEAR: Final = {1: SNACKS, 2: WASTE, 3: BREAKFAST, 4: (*BREAKFAST, *CHARGE, *WASTE)}
-"""The workshop's solutions by hand, up to the goal."""
+if TYPE_CHECKING:
+    from tests.support.e2e.household.tree_by_hand import TreeByHand
+
+PROBLEMS: Final = (1, 2, 3, 4)
+OURS: Final = "planned and executed"
+TREES: Final = Path("technologies", "BehaviorTree.CPP", "pyrobosim_btcpp", "trees", "solution")
+WORLDS: Final = Path("problems", "delib_ws_worlds", "worlds")
+"""Where the workshop's repository has its trees and its worlds."""
 
 
 @dataclass(frozen=True)
@@ -48,50 +47,56 @@ class Trial:
     """Whether the run says that the goal is reached."""
     reached: bool
     """Whether it is, by the simulator."""
-    actions: int
-    """Attempts that failed included."""
-    replans: int
+    work: Work
     seconds: float
-    ours: float
+    replans: int = 0
+    ours: float = 0.0
     """Seconds of these that were spent on planning, on machines and on their proofs; most of the others go into the simulator's paths."""
     why: str = ""
     """Of a failure."""
 
 
-def our_way(problem: int, folder: Path | None, seed: int) -> Trial:
+def our_way(settings: Mapping[str, float], problem: int, folder: Path | None, seed: int) -> Trial:
     """Pursue the goal with planner, executor and replanning."""
     backend, began = in_world(problem, seed, folder), time.perf_counter()
-    result = pursue(backend)
+    result = pursue(backend, **settings)
     seconds, reached = time.perf_counter() - began, has_reached(backend.world, problem)
-    why = "" if result.goal_reached and reached else f"{'the battery is empty' if backend.spent else result.code.word}: {result.reason}"
+    is_fine, is_spent = result.goal_reached and reached, backend.work.battery <= 0
+    why = "" if is_fine else f"{'the battery is empty' if is_spent else result.code.word}: {result.reason}"
     ours = sum(result.seconds[part] for part in ("plan", "translate", "verify"))
-    return Trial(seed, result.goal_reached, reached, backend.actions, result.replans, seconds, ours, why)
+    return Trial(seed, result.goal_reached, reached, backend.work, seconds, result.replans, ours, why)
 
 
-def linear_way(retries: int, problem: int, folder: Path | None, seed: int) -> Trial:
-    """Perform the solution by hand, each action with so many retries."""
-    world, actions, began = load_world(problem, seed, folder), 0, time.perf_counter()
-
-    def succeeds(action: str) -> bool:
-        nonlocal actions
-        kind, _, what = action.partition(" ")
-        for _ in range(retries + 1):
-            actions += 1
-            wanted = {"robot": "robot", "type": kind, "object": what, "target_location": what}
-            if perform(world, wanted).is_success():
-                return True
-        return False
-
+def tree_way(grown: Callable[[World, int], WorkshopTree | TreeByHand], problem: int, folder: Path | None, seed: int) -> Trial:
+    """Run a tree that is grown for the world and the problem."""
+    world, began = load_world(problem, seed, folder), time.perf_counter()
+    work, tree = counted(world), grown(world, problem)
     with without_waiting():
-        claimed = all(map(succeeds, LINEAR[problem]))
-    return Trial(seed, claimed, has_reached(world, problem), actions, 0, time.perf_counter() - began, 0.0)
+        claimed = tree.run()
+    return Trial(seed, claimed, has_reached(world, problem), work, time.perf_counter() - began)
+
+
+def workshop_tree(trees: Path, world: World, problem: int) -> WorkshopTree:
+    return WorkshopTree(world, trees / f"problem{problem}.xml")
+
+
+def tree_by_hand(world: World, problem: int) -> TreeByHand:
+    from tests.support.e2e.household.tree_by_hand import TreeByHand  # here, because py_trees need not be installed
+
+    return TreeByHand(world, problem)
 
 
 def show(problem: int, name: str, trials: Sequence[Trial]) -> None:
     """Print a line about a way in a problem, and why its runs failed."""
     reached, false = sum(trial.reached for trial in trials), sum(trial.claimed and not trial.reached for trial in trials)
-    figures = [f"{mean(getattr(trial, figure) for trial in trials):>8.2f}" for figure in ("actions", "replans", "seconds", "ours")]
-    print(f"{problem:>7}  {name:<22}{100 * reached / len(trials):>8.2f} %{false:>7}{''.join(figures)}", flush=True)
+    work = [trial.work for trial in trials]
+    figures = (
+        *(mean(one.actions for one in work), mean(one.driving for one in work), median(one.driving for one in work)),
+        *(min(one.battery for one in work), mean(trial.replans for trial in trials)),
+        *(mean(trial.seconds for trial in trials), mean(trial.ours for trial in trials)),
+    )
+    row = "".join(f"{figure:>9.2f}" for figure in figures)
+    print(f"{problem:>7}  {name:<22}{100 * reached / len(trials):>8.2f} %{false:>7}{row}", flush=True)
     for why, times in Counter(trial.why.partition(":")[0] for trial in trials if trial.why).most_common():
         print(f"{'':9}{times} × {why}")
     for trial in trials:
@@ -99,30 +104,51 @@ def show(problem: int, name: str, trials: Sequence[Trial]) -> None:
             print(f"{'':9}seed {trial.seed}: {trial.why}")
 
 
+def compare(ours: Sequence[Trial], name: str, others: Sequence[Trial]) -> None:
+    """Print on how many of the seeds on which both reach the goal ours drives no longer, and takes no more actions."""
+    pairs = [(our.work, other.work) for our, other in zip(ours, others, strict=True) if our.reached and other.reached]
+    driving, actions = sum(our.driving <= other.driving for our, other in pairs), sum(our.actions <= other.actions for our, other in pairs)
+    print(f"{'':9}beside {name}: of {len(pairs)} seeds, ours drives no longer on {driving}, takes no more actions on {actions}", flush=True)
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description="the workshop's four problems, many times")
     parser.add_argument("--seeds", type=int, default=20, help="how many runs of each problem")
     parser.add_argument("--first", type=int, default=0, help="the first seed")
-    parser.add_argument("--problem", type=int, choices=LINEAR, help="only this one")
-    parser.add_argument("--retries", type=int, default=3, help="of each action in the second baseline")
-    there = SHARED / "pyrobosim" / "worlds"
+    parser.add_argument("--problem", type=int, choices=PROBLEMS, help="only this one")
+    parser.add_argument("--improve", type=float, help="as of pnm run")
+    parser.add_argument("--workshop", type=Path, default=ROOT.parent / "roscon24-workshop", help="the workshop's repository")
     parser.add_argument(
-        "--worlds", type=Path, help="folder of the workshop's worlds, world1.yaml to world4.yaml; else a house of this project"
+        "--worlds", type=Path, help="folder of world1.yaml to world4.yaml; else the workshop's, else a house of this project"
     )
-    parser.set_defaults(worlds=there if there.is_dir() else None)
     parser.add_argument("--jobs", type=int, default=1, help="processes")
-    parser.add_argument("--no-baselines", action="store_true", help="only planner and executor")
+    parser.add_argument("--only-ours", action="store_true", help="only planner and executor")
     options = parser.parse_args()
-    ways = {"planned and executed": our_way}
-    if not options.no_baselines:
-        ways |= {"linear": partial(linear_way, 0), f"linear, {options.retries} retries": partial(linear_way, options.retries)}
+    settings = {} if options.improve is None else {"improve": options.improve}
+    ways: dict[str, Callable[[int, Path | None, int], Trial]] = {OURS: partial(our_way, settings)}
+    if not options.only_ours:
+        if (trees := options.workshop / TREES).is_dir():
+            ways["the workshop's tree"] = partial(tree_way, partial(workshop_tree, trees))
+        else:
+            print(f"without the workshop's trees: there is no folder {trees} (--workshop names the repository)")
+        if find_spec("py_trees"):
+            ways["py_trees by hand"] = partial(tree_way, tree_by_hand)
+        else:
+            print("without the tree by hand: py_trees is not installed (pip install py_trees)")
+    folders = (options.workshop / WORLDS, SHARED / "pyrobosim" / "worlds")
+    worlds = options.worlds or next((folder for folder in folders if folder.is_dir()), None)
     seeds = range(options.first, options.first + options.seeds)
-    print(f"worlds of {options.worlds or 'this project'}, seeds {seeds.start} to {seeds.stop - 1}")
-    print(f"problem  {'':<22}{'reached':>10}{'false':>7}{'actions':>8}{'replans':>8}{'seconds':>8}{'ours':>8}")
+    print(f"worlds of {worlds or 'this project'}, seeds {seeds.start} to {seeds.stop - 1}, load {os.getloadavg()[0]:.1f}")
+    columns = ("actions", "driving", "median", "battery", "replans", "seconds", "ours")
+    print(f"problem  {'':<22}{'reached':>10}{'false':>7}{''.join(f'{one:>9}' for one in columns)}")
     with ProcessPoolExecutor(options.jobs) as processes:
-        for problem in [options.problem] if options.problem else LINEAR:
+        for problem in [options.problem] if options.problem else PROBLEMS:
+            trials: dict[str, list[Trial]] = {}
             for name, way in ways.items():
-                show(problem, name, list(processes.map(way, repeat(problem), repeat(options.worlds), seeds)))
+                trials[name] = list(processes.map(way, repeat(problem), repeat(worlds), seeds))
+                show(problem, name, trials[name])
+            for name in list(trials)[1:]:
+                compare(trials[OURS], name, trials[name])
 
 
 if __name__ == "__main__":

@@ -6,7 +6,7 @@ import asyncio
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 from uuid import UUID
 
 from pyrobosim.core import World
@@ -25,7 +25,7 @@ from pnm.core.machine.requests import Accepted, Ended, Outcome, OutcomeKind, Rep
 from pnm.core.message_fields import value_in
 from pnm.knowledge.sensor_file import read_sensing
 from pnm.knowledge.sensor_model import Instance, instances, read
-from tests.support.e2e.household.simulator import load_world, perform, without_waiting, world_state
+from tests.support.e2e.household.simulator import counted, load_world, perform, without_waiting, world_state
 from tests.support.files import ROOT
 
 HOUSEHOLD: Final = ROOT / "domains" / "household"
@@ -41,10 +41,10 @@ def in_world(number: int, seed: int, folder: Path | None = None) -> SimulatorBac
     return SimulatorBackend(load_world(number, seed, folder), problem_of(number))
 
 
-def pursue(backend: SimulatorBackend) -> TaskResult:
+def pursue(backend: SimulatorBackend, **settings: Any) -> TaskResult:
     """Pursue the goal of the problem with planner, executor and replanning, as fast as it goes."""
     with without_waiting():
-        return run_async(achieve_at(backend, backend.problem, Settings(bindings=backend.bindings)), virtual=True)
+        return run_async(achieve_at(backend, backend.problem, Settings(bindings=backend.bindings, **settings)), virtual=True)
 
 
 class SimulatorBackend(ClientBackend):
@@ -52,8 +52,7 @@ class SimulatorBackend(ClientBackend):
 
     Attributes:
         world: the simulator's.
-        actions: how many were performed, attempts that failed included.
-        spent: whether a battery was ever empty.
+        work: what its robots have done.
         performed: called with the type of each action, before what has changed is reported.
     """
 
@@ -62,8 +61,7 @@ class SimulatorBackend(ClientBackend):
         self.world = world
         self.problem = problem
         self.bindings = read_bindings(HOUSEHOLD / "bindings.yaml", problem.vocabulary)
-        self.actions = 0
-        self.spent = False
+        self.work = counted(world)
         self.performed: Callable[[str], None] = lambda kind: None
         self.sensing = read_sensing(HOUSEHOLD / "sensing.yaml", problem.vocabulary)
         self._sensors: tuple[Instance, ...] = ()
@@ -90,8 +88,6 @@ class SimulatorBackend(ClientBackend):
     def _perform(self, request: Request, report: Reporter) -> None:
         report(Accepted(request.id))
         result = perform(self.world, request.goal["action"])
-        self.actions += 1
-        self.spent |= any(robot.battery_level <= 0 for robot in self.world.robots)
         self.performed(request.goal["action"]["type"])
         self._report()
         ended = Outcome(OutcomeKind.SUCCEEDED, {"execution_result": {"status": int(result.status), "message": result.message or ""}})

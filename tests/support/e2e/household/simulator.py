@@ -7,6 +7,7 @@ import logging
 import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, Final
@@ -17,6 +18,7 @@ from pyrobosim.core import Robot, World
 from pyrobosim.core.yaml_utils import WorldYamlLoader
 from pyrobosim.navigation import execution, rrt
 from pyrobosim.planning.actions import ExecutionResult, TaskAction
+from pyrobosim.utils.pose import Pose
 
 WORLDS: Final = Path(__file__).parent / "worlds"
 CHANCES_AND_USAGES: Final = {
@@ -81,6 +83,50 @@ def perform(world: World, action: Mapping[str, Any], realtime_factor: float = AT
     robot = world.get_robot_by_name(action["robot"])
     wanted = {name: action.get(name) or None for name in ("robot", "object", "room", "source_location", "target_location")}
     return robot.execute_action(TaskAction(action["type"], **wanted), realtime_factor)
+
+
+def asked(robot: Robot, kind: str, what: str) -> dict[str, str]:
+    """Return the fields of an action of a robot with a place or a thing."""
+    return {"robot": robot.name, "type": kind, "object": what, "target_location": what}
+
+
+@dataclass
+class Work:
+    """What the robots of a world have done since somebody keeps count.
+
+    Attributes:
+        actions: how many, attempts that failed included.
+        driving: seconds at the speed of each robot, whatever the clock says.
+        battery: the lowest that one of them ever had, in per cent.
+    """
+
+    actions: int = 0
+    driving: float = 0.0
+    battery: float = 100.0
+
+
+def counted(world: World) -> Work:
+    """Keep count of what the robots of a world do from now on."""
+    work = Work()
+
+    def keep_count(robot: Robot) -> None:
+        execute_action, set_pose = robot.execute_action, robot.set_pose
+
+        def act(action: TaskAction, realtime_factor: float = 1.0) -> ExecutionResult:
+            result = execute_action(action, realtime_factor)
+            work.actions += 1
+            work.battery = min(work.battery, robot.battery_level)
+            return result
+
+        def move(pose: Pose) -> None:
+            work.driving += robot.get_pose().get_linear_distance(pose) / robot.path_executor.linear_velocity
+            set_pose(pose)
+
+        robot.execute_action, robot.set_pose = act, move
+
+    for robot in world.robots:
+        keep_count(robot)
+    return work
 
 
 def robot_state(robot: Robot) -> dict[str, Any]:
