@@ -39,7 +39,6 @@
     (open hall_kitchen_trash) (open hall_kitchen_office) (open hall_closet_trash) (open hall_closet_office)
     (open table) (open desk) (open fridge) (open pantry) (open bin) (open dumpster) (open charger)
     (on bread0 pantry) (on snacks0 pantry) (on soda0 fridge) (on butter0 fridge) (on waste0 desk) (on waste1 bin)
-    (seen bread0) (seen snacks0) (seen soda0) (seen butter0) (seen waste0) (seen waste1)
 
     (= (battery robot) 100)
     (= (navigation_use) 0) (= (grasp_use) 0) (= (door_use) 0)

@@ -38,7 +38,6 @@
     (open hall_dining_office) (open hall_dining_kitchen)
     (open table) (open desk) (open pantry) (open bin) (open charger)
     (on bread0 pantry) (on snacks0 pantry) (on soda0 fridge) (on butter0 fridge) (on waste0 desk) (on waste1 bin)
-    (seen bread0) (seen snacks0) (seen soda0) (seen butter0) (seen waste0) (seen waste1)
 
     (= (battery robot) 100)
     (= (navigation_use) 0) (= (grasp_use) 0) (= (door_use) 0)

@@ -1,4 +1,4 @@
-; Lay the table: what is to be picked has to be detected first, actions fail by chance, and what is opened is to be closed again.
+; Lay the table: actions fail by chance, and what is opened is to be closed again.
 
 (define (problem household-3)
   (:domain household)

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
-import pytest
+from pathlib import Path
 
+import pytest
+from pyrobosim.planning.actions import ExecutionResult, ExecutionStatus
+
+from planner_bridge.pipeline.loading import load
 from planner_bridge.tasks.result import TaskResult
-from tests.support.e2e.household.in_process import SimulatorBackend, in_world, pursue
+from tests.support.e2e.household.in_process import HOUSEHOLD, SimulatorBackend, in_world, pursue
 from tests.support.e2e.household.simulator import has_reached
 
 
@@ -29,11 +33,43 @@ def test_the_goal_is_reached(problem: int) -> None:
 
 def test_what_cannot_be_done_has_the_simulators_reason() -> None:
     backend = in_world(3, seed=1)
-    backend.world.get_location_by_name("fridge").is_locked = True
+    jammed = ExecutionResult(ExecutionStatus.PRECONDITION_FAILURE, "The fridge is jammed.")
+    open_location = backend.world.open_location
+    backend.world.open_location = lambda what: jammed if what.name == "fridge" else open_location(what)
     result = pursued(3, backend)
     assert not result.goal_reached
     assert sum(call.attempts for call in result.calls if call.call.action.name == "open" and "fridge" in call.call.action.arguments) <= 2
-    assert "Location: fridge is locked." in {failure.observed for failure in result.failures}
+    assert "The fridge is jammed." in {failure.observed for failure in result.failures}
+
+
+def test_what_is_locked_is_not_tried() -> None:
+    backend = in_world(3, seed=1)
+    backend.world.get_location_by_name("fridge").is_locked = True
+    result = pursued(3, backend)
+    assert not result.goal_reached
+    assert not backend.work.actions
+    assert "locked" in result.reason
+
+
+def test_only_what_the_problem_calls_hidden_is_detected(tmp_path: Path) -> None:
+    backend = in_world(3, seed=1)
+    text = (HOUSEHOLD / "problem3.pddl").read_text()
+    file = tmp_path / "problem.pddl"
+    file.write_text(text.replace("(free robot)", "(free robot) (hidden bread0)"))
+    backend.problem = load(HOUSEHOLD / "domain.pddl", file)
+    result = pursued(3, backend)
+    assert result.goal_reached
+    assert {call.call.action.arguments[1] for call in result.calls if call.call.action.name == "detect"} == {"bread0"}
+
+
+def test_a_charger_to_which_no_path_is_found_is_reached_from_elsewhere() -> None:
+    backend = in_world(4, seed=1)
+    world, robot = backend.world, backend.world.robots[0]
+    world.open_location("hall_closet_dining")
+    robot.battery_level = 20.0
+    plan_path = robot.plan_path
+    robot.plan_path = lambda start, goal: None if (robot.location.name, goal) == ("dining", "charger") else plan_path(start, goal)
+    assert pursued(4, backend).goal_reached
 
 
 def test_a_door_that_falls_shut_is_opened_again() -> None:
