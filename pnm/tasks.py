@@ -258,8 +258,8 @@ class TaskListener:
     def happened(self, moment: TraceEvent) -> None:
         """Note that an event of a task has happened."""
 
-    def moved(self, task: UUID) -> None:
-        """Note that tokens of its net have moved."""
+    def moved(self, task: UUID, moment: Callable[[], TraceEvent]) -> None:
+        """Note that tokens of its net have moved; a function returns the event, which is not made for others: so many happen."""
 
     def ended(self, task: UUID, ending: TaskEnding) -> None:
         """Note that a task is over. Comes once for every task, and after everything else about it."""

@@ -20,7 +20,7 @@ from planner_bridge.tasks.settings import TaskObserver
 from planner_bridge.tasks.task import passed_limit
 from planner_bridge.view.serving import Operator, PageProcess
 from pnm.core.execution.call_results import Explanation, Failure, RunResult
-from pnm.core.machine.guards import Rule
+from pnm.core.execution.events import Fired
 from pnm.core.machine.machine import PetriNetMachine
 from pnm.core.machine.plan_graph import ActionCall, GroundAction
 from pnm.core.machine.requests import Outcome, OutcomeKind, Request
@@ -154,10 +154,10 @@ class ConsoleObserver(TaskObserver):
         else:
             self._wait_for_more(call, _News(now, "[red]wrong[/] ", call.action, str(cause.cause), failure.details))
 
-    def fired(self, transition: str, rule: Rule, now: float) -> None:
+    def fired(self, fired: Fired, now: float) -> None:
         """Print that a call has passed its limit, unless it ends as soon as it is cancelled: how it ends is printed when that is known."""
-        call, limit = rule.call, passed_limit(rule)
-        if limit is not None and call is not None and call in self._actions:
+        if (passed := passed_limit(fired)) is not None and passed[0] in self._actions:
+            call, limit = passed
             cause = f"it has not ended within {limit:g} s, and is being cancelled"
             news = self._news[call] = _News(now, "[yellow]late[/]  ", self._actions[call], cause, "")
 

@@ -16,7 +16,7 @@ from planner_bridge.tasks.replanning import PlanAgain, ResumePlan, decision_word
 from planner_bridge.tasks.result import GoalNote, Stopwatch, TaskResult, notes_of
 from planner_bridge.tasks.settings import TaskObserver
 from pnm.core.execution.call_results import CallResult, Failure, RunResult
-from pnm.core.execution.events import broadcast
+from pnm.core.execution.events import Fired, broadcast
 from pnm.core.machine.guards import After, Rule
 from pnm.core.machine.machine import PetriNetMachine
 from pnm.core.machine.plan_graph import ActionCall
@@ -75,6 +75,7 @@ class Task(TaskObserver):
     goal: str = ""
     """The goal in PDDL; empty for a task that is a plan."""
     start: StartTask | None = None
+    id: UUID = field(init=False)
     observer: TaskObserver = field(init=False)
     """The task, and all who listen to it besides."""
     control: TaskControl = field(init=False)
@@ -103,6 +104,7 @@ class Task(TaskObserver):
     """Whether it was left alone because it could not be ended in order."""
 
     def __post_init__(self) -> None:
+        self.id = self.wanted.id  # not looked up each time: everything that happens to the task names it
         self.observer = broadcast(TaskObserver, (self, *self.observers)) if self.observers else self
         self.control = TaskControl(self.observer)
         self.came_in = self.clock()
@@ -116,11 +118,6 @@ class Task(TaskObserver):
     def rank(self) -> tuple[int, int]:
         """Its place among others: higher priorities first, then the one that came first."""
         return -self.wanted.priority, self.order
-
-    @property
-    def id(self) -> UUID:
-        """The id of the task."""
-        return self.wanted.id
 
     @property
     def name(self) -> str:
@@ -225,7 +222,8 @@ class Task(TaskObserver):
         if self.watchdog:
             self.watchdog.heard()
         self.trace.append(event)
-        EVENTS.log(level, "%s %s", self.id.hex[:8], ": ".join(filter(None, (kind.word, subject, text))))
+        if EVENTS.isEnabledFor(level):
+            EVENTS.log(level, "%s %s", self.id.hex[:8], ": ".join(filter(None, (kind.word, subject, text))))
         self.listener.happened(event)
 
     def restore(self, kept: ReplayedTask) -> None:
@@ -316,23 +314,25 @@ class Task(TaskObserver):
         """Note that nothing goes on before a person has answered, or that this is over."""
         self.listener.changed(self.id)
 
-    def fired(self, transition: str, rule: Rule, now: float) -> None:
+    def fired(self, fired: Fired, now: float) -> None:
         """Tell that a transition has fired; too much for the trace of the task, unless a call has passed its limit."""
         run = self.control.run
-        if (limit := passed_limit(rule)) is not None and run is not None and rule.call is not None:
-            late = run.machine.plan.calls[rule.call].action
+        if (passed := passed_limit(fired)) is not None and run is not None:
+            call, limit = passed
+            late = run.machine.plan.calls[call].action
             self.note(TraceKind.SENT, "", f"a request to cancel {late}: it has not ended within {limit:g} s", logging.WARNING)
-        if rule.restarts:
+        if fired.kind.restarts:
             self.restarts += 1
             self.listener.changed(self.id)
-        self.listener.happened(TraceEvent(self.id, now, TraceKind.FIRED, transition))
-        self.listener.moved(self.id)
+        self.listener.moved(self.id, lambda: TraceEvent(self.id, now, TraceKind.FIRED, fired.name))
 
 
-def passed_limit(rule: Rule) -> float | None:
-    """Return the limit of a call, in seconds, that has passed when this transition fires: its request is cancelled; None for others."""
-    match rule:
-        case Rule(guard=After(limit), action=TransitionAction.CANCEL, cause=None):
-            return limit
+def passed_limit(fired: Fired) -> tuple[int, float] | None:
+    """Return the call whose limit, in seconds, has passed when this transition fires: its request is cancelled; None for others."""
+    if fired.kind.action is not TransitionAction.CANCEL:
+        return None
+    match fired.rule:
+        case Rule(guard=After(limit), call=int(call), cause=None):
+            return call, limit
         case _:
             return None

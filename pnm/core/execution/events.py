@@ -16,6 +16,7 @@ from uuid import UUID
 
 from pnm.core.execution.call_results import Explanation, Failure
 from pnm.core.logic.computed_values import Question
+from pnm.core.machine.blocks import MachineBlocks
 from pnm.core.machine.guards import Rule
 from pnm.core.machine.plan_graph import ActionCall
 from pnm.core.machine.requests import Ended, Outcome, OutcomeKind, Report, Request
@@ -173,10 +174,29 @@ class Performed(NamedTuple):
     changes_knowledge: bool = False
 
 
+class Fired(NamedTuple):
+    """A transition that has fired. Its name and its rule are made for those who ask, who are few; so many fire."""
+
+    net: MachineBlocks
+    number: int
+    kind: Rule
+    """A rule of its kind: the step that it says it is about may be another, and so may be the guard."""
+
+    @property
+    def name(self) -> str:
+        """The name of the transition."""
+        return self.net.transition_name(self.number)
+
+    @property
+    def rule(self) -> Rule:
+        """Its rule."""
+        return self.net.rule(self.number)
+
+
 class Observer:
     """Does nothing; override what is of interest. Must not raise and must not block. `now` is in seconds of the event loop."""
 
-    def fired(self, transition: str, rule: Rule, now: float) -> None:
+    def fired(self, fired: Fired, now: float) -> None:
         """Note that a transition has fired."""
 
     def sent(self, call: ActionCall, request: Request, now: float) -> None:
@@ -225,22 +245,33 @@ def broadcast(kind: type[L], listeners: Sequence[L]) -> L:
 
     Args:
         kind: the class of the listeners, with an empty method per moment.
-        listeners: may change at any time; those of the time at which a moment comes are called.
+        listeners: may change at any time, unless it is a tuple; those of the time at which a moment comes are called.
     """
     listener: L = _broadcaster(cast("Hashable", kind))()
     listener.__dict__["listeners"] = listeners
+    if isinstance(listeners, tuple):  # a moment that one of them hears at most needs nobody who passes it on
+        for moment, empty in _moments(kind).items():
+            heard = [hear for hear in (getattr(one, moment) for one in listeners) if getattr(hear, "__func__", None) is not empty]
+            if len(heard) < 2:
+                listener.__dict__[moment] = heard[0] if heard else empty.__get__(listener)
     return listener
 
 
 @cache
 def _broadcaster(kind: Any) -> Any:
-    moments = {name: _passes_on(name) for name in dir(kind) if not name.startswith("_")}
-    return type(f"Broadcast{kind.__name__}", (kind,), moments)
+    return type(f"Broadcast{kind.__name__}", (kind,), {name: _passes_on(name, empty) for name, empty in _moments(kind).items()})
 
 
-def _passes_on(moment: str) -> Callable[..., None]:
+def _moments(kind: type) -> dict[str, Any]:
+    """Return the empty methods of a class of listeners, by the names of their moments."""
+    return {name: getattr(kind, name) for name in dir(kind) if not name.startswith("_")}
+
+
+def _passes_on(moment: str, empty: object) -> Callable[..., None]:
     def pass_on(self: Any, *arguments: object, **options: object) -> None:
         for listener in tuple(self.listeners):
-            getattr(listener, moment)(*arguments, **options)
+            hear = getattr(listener, moment)
+            if getattr(hear, "__func__", None) is not empty:
+                hear(*arguments, **options)
 
     return pass_on

@@ -227,8 +227,6 @@ class MachineIndex:
         # worked out so far
         self.rules: Final = WhenAsked(blocks.rule)
         """The rules of transitions."""
-        self.names: Final = WhenAsked(blocks.transition_name)
-        """The names of transitions."""
         self.conditions: Final = WhenAsked(self._condition)
         """The conditions that guards of transitions ask for, where they are the same for every run."""
         self.guards: Final[WhenAsked[int, Guard]] = WhenAsked(self._guard)

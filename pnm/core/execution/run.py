@@ -261,7 +261,7 @@ class Run(RunView):
                     self._places.append(marked)
         self._fired.append(number)
         if self.observer is not events.SILENT:
-            self.observer.fired(self._index.names[number], self._index.rules[number], now)
+            self.observer.fired(events.Fired(self._index.blocks, number, firing.rule), now)
 
     def _fire_apart(self, site: Site, firing: Firing, place: int | None) -> None:
         """Fire a transition that matters to more than its call."""

@@ -82,7 +82,7 @@ class TaskTopics(TaskListener):
         """Make messages about plans and nets due."""
         self.note()
         self._note_nets()
-        self.moved(task)
+        self._note_marking(task)
 
     def happened(self, moment: TraceEvent) -> None:
         """Publish a trace event; make a status message due that has the feedback."""
@@ -91,10 +91,11 @@ class TaskTopics(TaskListener):
         if self._trace.subscriptions:
             self._trace.publish(lambda: moment_fields(moment, clock_offset(self._ros, self._loop)))
 
-    def moved(self, task: UUID) -> None:
-        """Make a message about the marking due."""
-        if self._marking.subscriptions:
-            self._due_markings.note(task)
+    def moved(self, task: UUID, moment: Callable[[], TraceEvent]) -> None:
+        """Publish the event while somebody subscribes to events; make a message about the marking due."""
+        if self._trace.subscriptions:
+            self.happened(moment())
+        self._note_marking(task)
 
     def ended(self, task: UUID, ending: TaskEnding) -> None:
         """Publish the status at once: a client that has the result of a task must not read afterwards that it is active."""
@@ -105,6 +106,10 @@ class TaskTopics(TaskListener):
         self._note_nets()
 
     # publishing
+
+    def _note_marking(self, task: UUID) -> None:
+        if self._marking.subscriptions:
+            self._due_markings.note(task)
 
     def _note_nets(self) -> None:
         if self._net.subscriptions:

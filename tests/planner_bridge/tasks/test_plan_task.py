@@ -20,6 +20,7 @@ from planner_bridge.tasks.settings import Settings
 from pnm.actions.faults import NO_FAULTS, Fault, FaultKind, Faults
 from pnm.core.machine.bindings import Binding, Bindings
 from pnm.core.machine.plan_graph import ActionCall, GroundAction, PlanGraph
+from pnm.core.net.block_net import BlockNet
 from pnm.errors import InputError
 from pnm.language.plan import HandWrittenPlan, parse_plans, read_plans
 from pnm.language.runner import Program
@@ -138,6 +139,14 @@ async def test_calls_and_restarts_of_a_plan_are_counted_and_told(simulation: Tas
     assert (simulation.endings[task].results, simulation.endings[task].cause) == ({"n": 3}, "")
     assert list(dict.fromkeys(one[:2] for one in statuses)) == [(0, 0), (1, 0), (2, 0), (2, 1), (3, 1), (4, 1)]
     assert {running for *_, running in statuses} == {(), ("go(a)",), ("go(b)",)}
+
+
+def test_of_transitions_that_nobody_asks_about_no_names_are_made(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    file, named = tmp_path / "plan.yaml", list[int]()
+    file.write_text("actions: {act: {}}\nplan: [act: {}, act: {}]\n")
+    monkeypatch.setattr(BlockNet, "transition_name", lambda net, transition: named.append(transition) or "")
+    assert carry_out(file).goal_reached
+    assert not named
 
 
 @loaded(TOUR)

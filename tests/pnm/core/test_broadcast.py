@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from inspect import signature
 from typing import Any
+from uuid import UUID
 
 import pytest
 
@@ -65,3 +66,17 @@ def test_a_listener_that_leaves_while_it_is_called_leaves_the_others_in_peace() 
     everyone.changed(1)
     everyone.changed(1)
     assert heard == ["leaves", "stays", "stays"]
+
+
+def test_a_moment_that_one_listener_hears_goes_to_it_directly() -> None:
+    class Hears(TaskListener):
+        def changed(self, task: object) -> None:
+            """Hear it."""
+
+    hears, deaf = Hears(), TaskListener()
+    everyone = broadcast(TaskListener, (deaf, hears))
+    assert everyone.changed == hears.changed
+    late: list[object] = []
+    deaf.changed = late.append  # type: ignore[method-assign, assignment]
+    broadcast(TaskListener, (deaf, hears)).changed(UUID(int=1))
+    assert late == [UUID(int=1)]

@@ -15,7 +15,7 @@ from pnm.actions.faults import NO_FAULTS, Fault, FaultKind, Faults, HiddenChange
 from pnm.actions.simulated_robots import SimulatedRobots, SimulatedWorld, report_changes
 from pnm.clock import run_async
 from pnm.core.execution.call_results import RunResult
-from pnm.core.execution.events import Observer
+from pnm.core.execution.events import Fired, Observer
 from pnm.core.execution.run import Run
 from pnm.core.knowledge_base import KnowledgeBase, Layered
 from pnm.core.logic.conditions import Holds
@@ -23,7 +23,6 @@ from pnm.core.logic.effects import Set
 from pnm.core.logic.expressions import Constant, Fluent, Value
 from pnm.core.machine.bindings import Bindings
 from pnm.core.machine.generate import generate
-from pnm.core.machine.guards import Rule
 from pnm.core.machine.machine import OnFailure
 from pnm.core.machine.plan_graph import GroundAction, PlanGraph
 from pnm.core.machine.verification.verify import verify
@@ -84,8 +83,8 @@ class FiringLog(Observer):
     fired_at: list[tuple[float, str]] = field(default_factory=list)
     orphans: list[object] = field(default_factory=list)
 
-    def fired(self, transition: str, rule: Rule, now: float) -> None:
-        self.fired_at.append((now, transition))
+    def fired(self, fired: Fired, now: float) -> None:
+        self.fired_at.append((now, fired.name))
 
     def orphaned(self, report: object, now: float) -> None:
         self.orphans.append(report)

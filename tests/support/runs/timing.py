@@ -13,7 +13,7 @@ from types import FrameType
 from planner_bridge.model.plan import Plan
 from planner_bridge.tasks.settings import TaskObserver
 from pnm.core.execution.call_results import Failure
-from pnm.core.machine.guards import Rule
+from pnm.core.execution.events import Fired
 
 
 def seconds(work: Callable[[], object], times: int = 3) -> float:
@@ -63,8 +63,8 @@ class FailureClock(TaskObserver):
     def planned(self, plan: Plan) -> None:
         self.planner = time.perf_counter() - self.asked_at
 
-    def fired(self, transition: str, rule: Rule, now: float) -> None:
-        if transition == "begin" and self.failed_at is not None:
+    def fired(self, fired: Fired, now: float) -> None:
+        if fired.name == "begin" and self.failed_at is not None:
             if self.planner:
                 self.found.append((time.perf_counter() - self.failed_at, self.planner))
             self.failed_at = None

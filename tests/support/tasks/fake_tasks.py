@@ -181,7 +181,7 @@ class FakeTasks:
             one.changed(task)
             if state is TaskState.RUNNING:
                 one.planned(task)
-                one.moved(task)
+                one.moved(task, lambda: TraceEvent(task, 0.0, TraceKind.FIRED))
 
     def _happened(self, task: UUID, kind: TraceKind, subject: str = "", text: str = "") -> None:
         moment = TraceEvent(task, asyncio.get_running_loop().time(), kind, subject, text)

@@ -75,8 +75,8 @@ class TaskSimulation(TaskListener):
     def planned(self, task: UUID) -> None:
         self._is_not_over(task, "planned")
 
-    def moved(self, task: UUID) -> None:
-        self._is_not_over(task, "moved")
+    def moved(self, task: UUID, moment: Callable[[], TraceEvent]) -> None:
+        self.happened(moment())
 
     def happened(self, moment: TraceEvent) -> None:
         self._is_not_over(moment.task, str(moment))

@@ -10,10 +10,9 @@ from typing import TypeVar
 from uuid import UUID
 
 from planner_bridge.tasks.result import TASKS
-from pnm.core.execution.events import Begin, Command, Event, Observer, Send
+from pnm.core.execution.events import Begin, Command, Event, Fired, Observer, Send
 from pnm.core.knowledge_base import KnowledgeBase, Layered
 from pnm.core.machine.bindings import Bindings
-from pnm.core.machine.guards import Rule
 from pnm.core.machine.machine import PetriNetMachine
 from pnm.core.machine.plan_graph import ActionCall, Moment, Ordering, PlanEvent, PlanGraph
 from pnm.core.machine.requests import Accepted, Ended, Outcome, OutcomeKind, Report, Request
@@ -43,7 +42,7 @@ class Count(Observer):
 
     count = 0
 
-    def fired(self, transition: str, rule: Rule, now: float) -> None:
+    def fired(self, fired: Fired, now: float) -> None:
         self.count += 1
 
 
