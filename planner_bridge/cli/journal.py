@@ -118,23 +118,24 @@ def history(journal: str | None, as_json: bool) -> int:
 
 
 @click.command(epilog="Examples: pnm learn run.journal -o rates.yaml; pnm learn robot1.yaml robot2.yaml -o rates.yaml")
-@click.argument("sources", metavar="JOURNAL...", nargs=-1, required=True)
+@click.argument("sources", metavar="[JOURNAL]...", nargs=-1)
 @click.option("-o", "--output", type=options.FILE, help="the file of the rates, which is added to if it is there; by default the terminal")
 @command
 def learn(sources: tuple[str, ...], output: Path | None) -> int:
     """Learn chances and durations from journals.
 
     Counts how calls have ended, and after how many seconds. Each JOURNAL is a file or a postgresql://...; a file of rates (.yaml) is
-    merged. A journal that was counted before adds only what is new in it.
+    merged. A journal that was counted before adds only what is new in it. The default is the node's journal written last on this
+    computer.
     """
     from planner_bridge.explanations.learning import learn as learned  # here, because looking at a journal needs neither
     from planner_bridge.model.rates import NO_RATES, Rates, read_rates, update_rates
 
     def more(rates: Rates) -> Rates:
-        for source in sources:
+        for source in sources or (None,):
             with errors_of_journals():
-                is_file = source.endswith((".yaml", ".yml"))
-                rates = rates.merge(read_rates(source)) if is_file else learned(place_of(source), rates)
+                is_file = source is not None and source.endswith((".yaml", ".yml"))
+                rates = rates.merge(read_rates(str(source))) if is_file else learned(chosen_journal(source), rates)
         return rates
 
     if output is None:

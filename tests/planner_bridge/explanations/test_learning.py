@@ -19,6 +19,8 @@ from planner_bridge.pipeline.achieve import achieve
 from planner_bridge.pipeline.loading import rates_for
 from pnm.actions.faults import Fault, FaultKind, Faults
 from pnm.errors import InputError
+from pnm.files.database.place import Place
+from pnm.journal.kept import JournalChoice
 from pnm.journal.store import copy_journal
 from pnm.tasks import Code, TaskEnding
 from tests.support.files import ROOT
@@ -31,9 +33,9 @@ def ends_of(rates: Rates) -> Counter[End]:
     return sum((Counter(counts.ends) for counts in rates.calls.values()), Counter())
 
 
-def run_with(kind: FaultKind, journal: Path, what: str = "move", times: int = 1, **more: object) -> Rates:
+def run_with(kind: FaultKind, journal: JournalChoice | Path, what: str = "move", times: int = 1, **more: object) -> Rates:
     assert achieve(*DELIVERY, faults=Faults((Fault(what, kind, times=times, **more),)), journal=journal).goal_reached  # type: ignore[arg-type]
-    return learn(journal)
+    return learn(journal if isinstance(journal, Path) else journal.place)
 
 
 def test_every_attempt_counts_once(delivery: Path) -> None:
@@ -70,12 +72,12 @@ def test_journals_add_up_and_none_counts_twice(tmp_path: Path) -> None:
     assert learn(one, learn(other, both)) == both.merge(first) == both
 
 
-def test_a_journal_that_has_grown_adds_what_is_new(tmp_path: Path) -> None:
-    journal = tmp_path / "j"
+def test_a_journal_that_has_grown_adds_what_is_new(place: Place) -> None:
+    journal = JournalChoice(place)
     before = run_with(FaultKind.ABORT, journal)
     after = run_with(FaultKind.REJECT, journal)
     assert ends_of(after)[End.REJECTED] == ends_of(after)[End.ABORTED] == 1
-    assert learn(journal, before) == after
+    assert learn(place, before) == after
     assert [*before.journals] == [*after.journals], "it is the same one"
     assert before.merge(after) == after
 

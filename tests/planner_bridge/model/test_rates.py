@@ -89,14 +89,16 @@ def test_seconds_are_learned_then_declared_then_assumed() -> None:
     assert rates.seconds(call, succeeded=False) == rates.seconds(call), "nothing else is known of those that fail"
 
 
-@given(st.lists(st.floats(0.001, 1e5), min_size=5, max_size=60), st.floats(0.01, 1.0))
-def test_quantiles_are_within_one_percent_of_what_was_measured(measured: list[float], share: float) -> None:
+@given(st.lists(st.floats(1.0, 1e5), min_size=5, max_size=60), st.floats(0.01, 1.0))
+def test_quantiles_are_within_two_percent_of_what_was_measured_and_means_are_exact(measured: list[float], share: float) -> None:
     call = Call("s", "move")
     rates = NO_RATES.grown("j", 1, [(call, Counts.of(End.SUCCEEDED, seconds)) for seconds in measured])
     left, exact = share * len(measured), sorted(measured)
-    found = rates.seconds(call).quantile(share)
-    near = next(seconds for number, seconds in enumerate(exact, 1) if number >= left - 1e-9)
-    assert found == pytest.approx(near, rel=STEP**0.5 - 1.0 + 1e-9)
+    seconds = rates.seconds(call)
+    near = next(time for number, time in enumerate(exact, 1) if number >= left - 1e-9)
+    assert seconds.quantile(share) == pytest.approx(near, rel=STEP - 1.0 + 1e-3)
+    assert seconds.mean == pytest.approx(sum(measured) / len(measured), abs=0.0005 + 1e-9 * max(measured))
+    assert sum(time * count for time, count in seconds.buckets) == pytest.approx(seconds.mean * len(measured))
 
 
 def test_intervals_hold_the_true_chance_as_often_as_they_say() -> None:
