@@ -343,16 +343,20 @@ class Rates:
         lines += [f"# {'  '.join(map(str.ljust, row, wide))}".rstrip() for row in rows]
         lines += ["", "journals:  # each with the last of its records that is counted"]
         lines += [f"  {_key(id)}: {last}" for id, last in sorted(self.journals.items())]
-        lines += ["", "servers:  # for each its calls: how often which end; which seconds until success, or until another end; their sum"]
+        lines += [
+            "",
+            "servers:  # for each its calls: the ends; the sum of all seconds until success, or until another end, and its parts",
+        ]
         for server in sorted({call.server for call in self.calls}):
             lines.append(f"  {_key(server)}:")
             for call in sorted(call for call in self.calls if call.server == server):
                 counts = self.calls[call]
-                lines += [f"    {_key(str(call))}:", f"      ends: {_braces({end: counts.ends[end] for end in End if end in counts.ends})}"]
+                ends = ", ".join(f"{end}: {counts.ends[end]}" for end in End if end in counts.ends)
+                lines += [f"    {_key(str(call))}:", f"      ends: {{{ends}}}"]
                 for key, times in (("took", counts.took), ("failed_after", counts.failed_after)):
                     if times.steps:
-                        steps = {f"{STEP**step:.4g}": count for step, count in sorted(times.steps.items())}
-                        lines += [f"      {key}: {_braces(steps)}", f"      {key}_sum: {times.total / 1000.0}"]
+                        parts = [f"{count}*{STEP**step:.4g}" for step, count in sorted(times.steps.items())]
+                        lines.append(f"      {key}: {times.total / 1000.0} = {' '.join(parts)}")
         return "\n".join((*lines, ""))
 
 
@@ -367,7 +371,7 @@ def read_rates(path: Path | str) -> Rates:
                 raise InputError(f"expected a call such as move(robot, hall), found {written!r}", where)
             action, *arguments = [json.loads(word) if word[0] == '"' else word for word in re.findall(_WORD, written)]
             entry = node.mapped()
-            entry.only("ends", "took", "took_sum", "failed_after", "failed_after_sum")
+            entry.only("ends", "took", "failed_after")
             ends = entry.section("ends")
             ends.only(*(end.value for end in End))
             found = {End(name): ends.whole(name, 0) for name in ends.nodes}
@@ -395,14 +399,19 @@ def update_rates(path: Path, change: Callable[[Rates], Rates]) -> None:
 
 
 def _times(entry: Mapped, key: str) -> Times:
-    steps: Counter[int] = Counter()
-    for written, where, _ in entry.section(key).entries():
-        try:
-            steps[step_of(float(written))] += entry.section(key).whole(written, 0)
-        except (ValueError, OverflowError) as error:
-            raise InputError(f"expected seconds, found {written!r}", where) from error
-    measured = entry.number(f"{key}_sum", None)
-    return Times(dict(steps), round(1000.0 * (sum(STEP**step * count for step, count in steps.items()) if measured is None else measured)))
+    node, steps = entry.filled(key), Counter[int]()
+    if node is None:
+        return Times()
+    total, equals, parts = node.written.partition(" = ")
+    try:
+        for part in parts.split() if equals else ("",):
+            count, seconds = part.split("*")
+            if not count.isdecimal():
+                raise ValueError(count)
+            steps[step_of(float(seconds))] += int(count)
+        return Times(dict(steps), round(1000.0 * float(total)))
+    except (ValueError, OverflowError) as error:
+        raise node.wrong(f"expected a sum of seconds such as 9.1 = 2*3.05 1*3, found {node.written[:40]!r}") from error
 
 
 def _summed(counted: Iterable[tuple[Call, Counts]]) -> dict[Call, Counts]:
@@ -433,10 +442,6 @@ def _sums(counted: Iterable[tuple[K, Counts]]) -> dict[K, Counts]:
 
 def _key(text: str) -> str:
     return text if re.fullmatch(r"[A-Za-z/][\w/-]*(\([\w, -]*\))?", text) else json.dumps(text, ensure_ascii=False)
-
-
-def _braces(values: Mapping[str, int]) -> str:
-    return f"{{{', '.join(f'{key}: {value}' for key, value in values.items())}}}"
 
 
 NO_RATES: Final = Rates()
