@@ -48,6 +48,10 @@ Each has the first line of its help here as well: the list of all commands impor
 """
 
 
+_IMPROVE: Final = 0.04
+"""Seconds in which `pnm plan` looks for a better plan with times or a metric, if nothing else is said: people look, and no robot moves."""
+
+
 class Commands(click.Group):
     """The commands, here and elsewhere."""
 
@@ -77,7 +81,8 @@ def app() -> None:
 
 @app.command(epilog="Example: pnm plan domain.pddl problem.pddl --format svg -o plan.svg")
 @options.files
-@options.planning_within(0.04)  # people look, and no robot moves
+@options.bindings_option
+@options.planning
 @click.option(
     "--format",
     "written_as",
@@ -93,9 +98,10 @@ def plan(
     *,
     domain: Path,
     problem: Path,
+    bindings: Path | None,
     planner: str,
     planner_timeout: float,
-    improve: float,
+    improve: float | None,
     written_as: str,
     output: Path | None,
     force: bool,
@@ -103,7 +109,8 @@ def plan(
 ) -> int:
     """Find and print a plan."""
     from planner_bridge.model.plan import PlanningStatus
-    from planner_bridge.planning.kairos import DEFAULT_PLANNER, IMPROVE
+    from planner_bridge.pipeline.loading import bindings_for
+    from planner_bridge.planning.kairos import DEFAULT_PLANNER
     from planner_bridge.planning.solve import solve
 
     if as_json and (written_as != "text" or output):
@@ -111,14 +118,17 @@ def plan(
     if output:
         options.check_output(output, force=force)
     loaded = options.problem_in(domain, problem)
+    bound = bindings_for(domain, bindings, loaded.vocabulary)
+    thought = _IMPROVE if improve is None and (loaded.is_timed or loaded.metric) else improve
     with options.searching(planner, planner_timeout):
-        result = solve(loaded, planner=planner, timeout=planner_timeout, improve=improve)
+        result = solve(loaded, planner=planner, timeout=planner_timeout, improve=thought, bindings=bound)
     if as_json:
         steps = [
             {"action": step.action, "arguments": [*step.arguments], "start": round(step.start, 6), "duration": round(step.duration, 6)}
             for step in (result.plan.steps if result.plan else ())
         ]
-        found = {"cost": result.plan.cost, "is_best": result.plan.is_best} if result.plan else {}
+        plan = result.plan
+        found = {"cost": plan.cost, "expected_seconds": plan.seconds, "is_best": plan.is_best} if plan else {}
         fields = {"status": result.status.value, "message": result.message, "planner": result.planner, **found}
         options.print_json({**fields, "steps": steps if result.plan else None})
     elif result.plan is None:
@@ -137,8 +147,8 @@ def plan(
             lines.append(f"planner  {result.planner}")
         if result.message:
             lines.append(f"note     {result.message}")
-        if improve < IMPROVE and planner == DEFAULT_PLANNER and result.plan.steps and not result.plan.is_best:
-            lines.append(f"note     --improve {IMPROVE:g}, the default of pnm run, may find a better one")
+        if improve is None and planner == DEFAULT_PLANNER and result.plan.steps and not result.plan.is_best:
+            lines.append("note     --improve SECONDS may find a better one")
         options.write(output, "\n".join((*lines, "")), force=force)
     return 0 if result.plan else 2 if result.status is PlanningStatus.INVALID else 1
 
@@ -173,7 +183,7 @@ def net(
     bindings: Path | None,
     planner: str,
     planner_timeout: float,
-    improve: float,
+    improve: float | None,
 ) -> int:
     """Write the Petri Net Machine of a plan.
 
@@ -204,7 +214,7 @@ def net(
         loaded = options.problem_in(*chosen)
         bound = bindings_for(chosen[0], bindings, loaded.vocabulary)
         with options.searching(planner, planner_timeout):
-            result = solve(loaded, planner=planner, timeout=planner_timeout, improve=improve)
+            result = solve(loaded, planner=planner, timeout=planner_timeout, improve=improve, bindings=bound)
         if result.plan is None:
             from planner_bridge.cli.console import SafeConsole
 

@@ -35,7 +35,7 @@ def export(
     bindings: Path | None,
     planner: str,
     planner_timeout: float,
-    improve: float,
+    improve: float | None,
 ) -> int:
     """Write a domain, a problem and a plan as YAML."""
     bound = bindings_for(domain, bindings, None)

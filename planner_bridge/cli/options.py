@@ -159,24 +159,16 @@ files_or_plan = options(
 set_option = click.option("--set", "given", metavar="NAME=VALUE", multiple=True, help="a parameter of that plan; the value in YAML")
 
 
-def planning_within(improve: float) -> Decorator:
-    """Return the options about planning, with this default for the search for a better plan."""
-    return options(
-        click.option(
-            "--planner", default="kairos", show_default=True, help="kairos, any engine of unified-planning, race, or race:NAME,NAME"
-        ),
-        click.option("--planner-timeout", type=Seconds(0.01), default=30.0, show_default=True, help="seconds for the planner"),
-        click.option(
-            "--improve",
-            type=Seconds(0),
-            default=improve,
-            show_default=True,
-            help="seconds to search for a better plan, at most; 0: the first plan, the same every time",
-        ),
-    )
-
-
-planning = planning_within(2.0)
+planning = options(
+    click.option("--planner", default="kairos", show_default=True, help="kairos, any engine of unified-planning, race, or race:NAME,NAME"),
+    click.option("--planner-timeout", type=Seconds(0.01), default=30.0, show_default=True, help="seconds for the planner"),
+    click.option(
+        "--improve",
+        type=Seconds(0),
+        help="seconds to search for a better plan, by default a twentieth of the time that it takes, at most 5; "
+        "0: the first plan, the same every time",
+    ),
+)
 quiet_option = click.option("-q", "--quiet", is_flag=True, help="print only the result")
 as_json_option = click.option("--json", "as_json", is_flag=True, help="print only one JSON object, as the last line")
 bindings_option = click.option("--bindings", type=FILE, help="the bindings of actions to servers; by default bindings.yaml beside DOMAIN")

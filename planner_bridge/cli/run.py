@@ -94,7 +94,7 @@ def run(
     sensing: Path | None,
     planner: str,
     planner_timeout: float,
-    improve: float,
+    improve: float | None,
     sim_time: bool,
     replans: int,
     without_progress: int,

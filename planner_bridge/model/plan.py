@@ -41,13 +41,16 @@ class Plan:
     """Whether starts and durations are times; otherwise the steps follow one another."""
     cost: float | None = None
     """By the metric of the problem; None without one."""
+    seconds: float | None = None
+    """Until all is carried out, if nothing fails; None for a plan with times, and where nothing is known about its calls."""
     is_best: bool = False
-    """Whether it is proved that no plan is better: costs less, or without a metric has fewer steps or takes less time."""
+    """Whether it is proved that no plan is better: costs less, or without a metric takes less time or has fewer steps."""
 
     def __str__(self) -> str:
         if not self.steps:
             return "nothing to do: the goal is empty, holds already, or comes by itself"
         parts = [counted(len(self.steps), "call"), *([f"{self.makespan:.1f} s"] if self.temporal else ())]
+        parts += [f"{self.seconds:.0f} s expected"] if self.seconds is not None else ()
         parts += [f"cost {self.cost:g}"] if self.cost is not None else ()
         head = ", ".join((*parts, *(["no plan is better"] if self.is_best else ())))
         lines = (

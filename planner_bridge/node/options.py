@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from planner_bridge.pipeline.loading import bindings_beside
-from planner_bridge.planning.kairos import DEFAULT_PLANNER, IMPROVE
+from planner_bridge.planning.kairos import DEFAULT_PLANNER
 from planner_bridge.tasks.settings import OnChange
 from pnm.actions.bindings_file import bindings_in
 from pnm.core.logic.domain import Vocabulary
@@ -59,10 +59,16 @@ class Options:
     robots: str = parameter("robot", "the type of the robots of a fleet, which are dealt out to its parts")
     planner: str = parameter(DEFAULT_PLANNER, "kairos, any engine of unified-planning, race, or race:NAME,NAME")
     planner_timeout: float = parameter(30.0, "seconds for the planner")
-    improve: float = parameter(IMPROVE, "seconds to search for a better plan, at most; 0: the first plan, the same every time")
+    improve: float | None = parameter(
+        -1.0,
+        "seconds to search for a better plan; 0: the first plan, the same every time; -1: a twentieth of the time that the plan takes,"
+        " at most 5",
+        least=-1,
+    )
+    """None for that share."""
     replans: int = parameter(100, "how often the plan of a task may be replaced")
     without_progress: int = parameter(
-        5, "how many replans in a row may bring no progress: nothing new is known, and no fewer calls are left"
+        10, "how many replans in a row may bring no progress: nothing new is known, and no fewer calls are left"
     )
     patience: float = parameter(0.0, "seconds for which a goal without a plan waits for facts to change")
     ask_for_help: bool = parameter(False, "whether a person is asked when a goal cannot be reached: 'try again' or 'give up'")
@@ -109,6 +115,7 @@ class Options:
                 raise InputError("a part of a fleet carries out goals; expected a domain and a problem, and no world of plans")
         given["part"] = part
         given["on_failure"], given["on_conflict"] = OnFailure(given["on_failure"]), OnConflict[given["on_conflict"].upper()]
+        given["improve"] = None if given["improve"] < 0.0 else given["improve"]
         given["on_change"] = OnChange(given["on_change"])
         given["durability"] = DURABILITIES.get(given["durability"])
         return cls(**given)

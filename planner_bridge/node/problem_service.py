@@ -140,7 +140,13 @@ class ServedProblem:
             def search() -> MadePlan:
                 problem = replace(current, goal=world.read_goal(goal))
                 result = solve(
-                    problem, planner=planner, timeout=timeout, improve=settings.improve, cancel=cancel, executor=settings.executor
+                    problem,
+                    planner=planner,
+                    timeout=timeout,
+                    improve=settings.improve,
+                    cancel=cancel,
+                    executor=settings.executor,
+                    bindings=settings.bindings,
                 )
                 if result.plan is None:
                     return MadePlan(code_of_planning(result.status, ()), result.reason, str(problem.goal))

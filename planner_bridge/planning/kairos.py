@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import time
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
 from functools import partial
 from math import inf
@@ -14,24 +14,29 @@ import kairos
 
 from planner_bridge.model.plan import CancelToken, Plan, PlanningResult, PlanningStatus, SpelledNames, plan_text
 from planner_bridge.model.problem import TOTAL_TIME, Domain, Problem, once_per_domain
+from planner_bridge.model.progression import calls_of
+from planner_bridge.ordering.robot_time import ASSUMED, NO_RATES, Rates, priced, robot_time
 from planner_bridge.pddl.writer import write_domain, write_problem
 from planner_bridge.planning.normal_form import in_whole_numbers
+from planner_bridge.planning.parts import better_parts, can_have_parts
 from pnm.core.logic.expressions import ValueOf
 from pnm.errors import InputError
 
 DEFAULT_PLANNER: Final = "kairos"
-IMPROVE: Final = 2.0
-"""Seconds for which a better plan is looked for, at most."""
+SHARE: Final = 0.05
+"""Share of the time that a plan is expected to take for which a better one is looked for."""
+LONGEST: Final = 5.0
+"""Seconds for which a better plan is looked for at most, if nothing else is said: robots wait."""
 _POLL: Final = 0.05
 """Seconds between two looks at the cancel token."""
 _ADVICE: Final = re.compile(r"\s[^.()]*\(SolveOptions::\w+\)\.|\s\(see the note before\)")
 """The statements of Kairos about its options and its output."""
-_WORTH: Final = 0.02
-"""Share of the time that a plan takes for which a better one is looked for; an action without a duration counts as a second."""
 _LEAST: Final = 0.05
-"""Share of the time for improvement that is waited for a better plan in any case."""
-_WEIGHED: Final = 0.5
-"""The same share where preferences are weighed: the first plans often fulfil none of them."""
+"""Seconds for which a better plan is looked for in any case, if nothing else is said; where preferences are weighed, `_WEIGHED`."""
+_WEIGHED: Final = 1.0
+"""The first plans often fulfil no preference."""
+_PART: Final = 0.1
+"""Seconds for a better part of a plan."""
 _BESIDE: Final = {"ehc": 0.2, "goals": 0.2, "novelty": 0.6}
 """Other ways of searching in Kairos, which it has beside its own one. Once there is a plan: one after the other, each for this share
 of the time for improvement. While there is none: one more whenever so much time has passed again. Each finds plans for some problems."""
@@ -52,10 +57,13 @@ _STATUS: Final[Mapping[kairos.Status, PlanningStatus]] = {
 """The ends of a search that has found no plan."""
 
 
-def parse_for_kairos(problem: Problem) -> kairos.Problem:
-    """Return the problem as Kairos reads it: without its task network, in whole numbers. It may refuse what our reader accepted."""
+def parse_for_kairos(problem: Problem, rates: Rates = NO_RATES) -> kairos.Problem:
+    """Return the problem as Kairos reads it: without its task network, in whole numbers, with the seconds of calls where they count.
+
+    It may refuse what our reader accepted.
+    """
     try:
-        return _parsed(problem)
+        return _parsed(priced(problem, rates))
     except kairos.PddlError as error:
         raise InputError(f"the planner refuses the problem: {error}") from error
 
@@ -84,13 +92,22 @@ def _parsed_domain(domain: Domain) -> kairos.Domain:
 
 
 def search(
-    problem: Problem, planner: str, timeout: float, cancel: CancelToken, *, improve: float = 0.0, parsed: kairos.Problem | None = None
+    problem: Problem,
+    planner: str,
+    timeout: float,
+    cancel: CancelToken,
+    *,
+    improve: float | None = 0.0,
+    parsed: kairos.Problem | None = None,
+    rates: Rates = NO_RATES,
 ) -> PlanningResult:
     """Search with one planner, at most `timeout` seconds besides the time to load it; the plan is not validated yet.
 
     Args:
-        improve: seconds for which Kairos looks for a better plan once there is one; other planners return what they find.
+        improve: seconds for which Kairos looks for a better plan once there is one, None for what that is worth; other planners return
+            what they find.
         parsed: the problem as Kairos reads it, if that is there already.
+        rates: what calls are expected to take.
     """
     if planner != DEFAULT_PLANNER:
         from planner_bridge.planning.engines import search_with_engine  # here, because Kairos needs no other process
@@ -99,40 +116,48 @@ def search(
     if problem.has_tasks:
         message = "task networks, which aries plans for (--planner aries)"
         return PlanningResult(PlanningStatus.UNSUPPORTED, message=message, planner=planner)
-    return search_with_kairos(problem, parsed or parse_for_kairos(problem), timeout, improve, cancel)
+    return search_with_kairos(problem, parsed or parse_for_kairos(problem, rates), timeout, improve, cancel, rates)
 
 
-def search_with_kairos(problem: Problem, parsed: kairos.Problem, timeout: float, improve: float, cancel: CancelToken) -> PlanningResult:
+def search_with_kairos(
+    problem: Problem, parsed: kairos.Problem, timeout: float, improve: float | None, cancel: CancelToken, rates: Rates = NO_RATES
+) -> PlanningResult:
     """Search for a plan until the timeout, or until the search is cancelled.
 
     The search has one thread, so the same problem gets the same first plan. If that takes long, other ways of searching join it one by
     one, and the plan may be another one the next time; not with `improve` at 0, which asks for that first plan.
 
-    Once there is a plan, a better one is looked for, `improve` seconds at most: for as long as that is little beside the time that
-    the best one takes, for robots wait.
+    Once there is a plan, a better one is looked for: `improve` seconds, or a share of the time that the plan is expected to take, for
+    robots wait. The searches go on, and meanwhile parts of the best plan are replaced by better ones.
     """
-    start = partial(kairos.Planner().start, parsed, anytime=improve > 0.0, threads=1)  # type: ignore[no-untyped-call]
+    start = partial(kairos.Planner().start, parsed, anytime=improve != 0.0, threads=1)  # type: ignore[no-untyped-call]
     search: kairos.Search = start(timeout=timeout)
-    searches, others, best = [search], iter(_BESIDE.items()), None
-    until, began, patience = time.monotonic() + timeout, time.process_time(), _PATIENCE if improve > 0.0 else inf
+    searches, others, best = [search], iter(_BESIDE.items()), _Best(problem, parsed, rates)
+    until, began, patience = time.monotonic() + timeout, time.process_time(), inf if improve == 0.0 else _PATIENCE
     helpers = iter(sorted(_BESIDE, key=_BESIDE.__getitem__, reverse=True))
     first = deadline = inf
+    parts: Iterator[bool] = iter(())
     while search.running() and not cancel.is_set() and (now := time.monotonic()) < deadline:
-        search.next_plan(min(_POLL, deadline - now))
-        if best is None and time.process_time() > began + patience and (way := next(helpers, None)):
+        if not next(parts, False):
+            search.next_plan(min(_POLL, deadline - now))
+        if best.plan is None and time.process_time() > began + patience and (way := next(helpers, None)):
             searches.append(start(timeout=max(_POLL, until - now), search=way, memory_limit_mb=_memory_of_others()))
             patience *= 2
-        if (better := _best(problem, searches)) is not None and (best is None or better.cost != best.cost):
-            best, first = better, min(first, now)
-            least = improve * (_WEIGHED if problem.has_preferences else _LEAST)
-            deadline = min(first + improve, now + max(least, best.makespan() * _WORTH))
-        if best is not None and not any(beside.running() for beside in searches[1:]) and (other := next(others, None)):
-            searches.append(start(timeout=improve * other[1], search=other[0]))
+        if best.of(searches):
+            first = min(first, now)
+            parts = better_parts(problem, best.plan, best.of_part, best.take) if best.plan and can_have_parts(problem) else iter(())
+        if best.plan is not None:
+            allowed = best.worth if improve is None else improve
+            deadline = first + allowed
+            if not any(beside.running() for beside in searches[1:]) and (other := next(others, None)):
+                searches.append(start(timeout=allowed * other[1], search=other[0]))
     is_best = not search.running() and search.stop_reason is kairos.StopReason.PROVEN_OPTIMAL
+    is_best &= not rates.are_measure(problem) or rates.have_turns(problem)  # proved is that no plan has less work
     for started in searches:
         started.stop()
-    if (best := _best(problem, searches)) is not None:  # the searches end some milliseconds later, which changes nothing
-        return PlanningResult(PlanningStatus.SOLVED, replace(_plan(best, problem), is_best=is_best), planner=DEFAULT_PLANNER)
+    best.of(searches)  # the searches end some milliseconds later
+    if best.plan is not None:
+        return PlanningResult(PlanningStatus.SOLVED, replace(best.plan, is_best=is_best), planner=DEFAULT_PLANNER)
     result = search.wait()
     status = _STATUS[result.status]
     if status is PlanningStatus.UNSOLVABLE and any(function.values for function in problem.domain.functions.values()):
@@ -150,11 +175,62 @@ def _memory_of_others() -> int:
     return int(solved.stats.memory_limit_bytes) // 2**20 // len(_BESIDE)  # the limit is not told otherwise
 
 
-def _best(problem: Problem, searches: Iterable[kairos.Search]) -> kairos.Plan | None:
-    """Return the best plan that the searches have found so far, of equal ones that of the first; None if there is none."""
-    sign = -1.0 if problem.metric is not None and problem.metric.direction == "maximize" else 1.0
-    found = (plan for search in searches if (plan := search.best()) is not None)  # an empty plan is false, and a plan
-    return min(found, key=lambda plan: sign * plan.cost, default=None)
+class _Best:
+    """The best plan that was found. The mutable state is that plan, its value, and which plans of which searches were looked at."""
+
+    def __init__(self, problem: Problem, parsed: kairos.Problem, rates: Rates) -> None:
+        self._problem, self._parsed, self._rates = problem, parsed, rates
+        self._planner = kairos.Planner()  # type: ignore[no-untyped-call]
+        self._counts = rates.are_measure(problem)
+        self._value: tuple[float, ...] = (inf,)
+        self._seen: dict[int, float] = {}
+        self.plan: Plan | None = None
+
+    def of(self, searches: Iterable[kairos.Search]) -> bool:
+        """Take the best of the plans that the searches have found, of equal ones that of the first; return whether it is a better one."""
+        is_better = False
+        for number, search in enumerate(searches):
+            found = search.best()  # an empty plan is false, and a plan
+            if found is not None and self._seen.get(number) != found.cost:
+                self._seen[number] = found.cost
+                is_better |= self._keep(_plan(found, self._problem))
+        return is_better
+
+    def take(self, plan: Plan) -> bool:
+        """Take a plan that no search has found, if it is better and Kairos' validator accepts it; return whether it was taken."""
+        report = kairos.validate(self._parsed, kairos.parse_plan(plan_text(plan)))
+        return report.valid and self._keep(plan if plan.cost is None else replace(plan, cost=report.metric))
+
+    def _keep(self, plan: Plan) -> bool:
+        metric = self._problem.metric
+        if self._counts:
+            time = robot_time(self._problem, plan, self._rates)
+            value: tuple[float, ...] = (time, sum(self._rates.expected(call.action) for call in calls_of(self._problem, plan)))
+            plan = replace(plan, seconds=time)
+        elif plan.cost is not None:
+            value = (-plan.cost if metric and metric.direction == "maximize" else plan.cost,)
+        else:
+            value = (plan.makespan if plan.temporal else float(len(plan.steps)),)
+        if value < self._value:
+            self.plan, self._value = plan, value
+        return self.plan is plan
+
+    @property
+    def worth(self) -> float:
+        """The seconds for which a better plan is looked for, because robots save as much."""
+        plan = self.plan
+        assert plan is not None
+        least = _WEIGHED if self._problem.has_preferences else _LEAST
+        taken = plan.makespan if plan.temporal else len(plan.steps) * ASSUMED if plan.seconds is None else plan.seconds
+        return min(LONGEST, max(least, taken * SHARE))
+
+    def of_part(self, part: Problem) -> Plan | None:
+        """Find a plan for a part of a plan in a short time."""
+        try:
+            found = self._planner.solve(parse_for_kairos(part, self._rates), timeout=_PART, anytime=True, threads=1).plan
+        except InputError:
+            return None
+        return None if found is None else _plan(found, part)
 
 
 def _joined(diagnostics: Iterable[kairos.Diagnostic]) -> str:

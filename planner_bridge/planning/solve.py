@@ -17,12 +17,14 @@ from planner_bridge.model.grounding import initial_knowledge
 from planner_bridge.model.plan import CancelToken, Plan, PlanningResult
 from planner_bridge.model.problem import TOTAL_TIME, Problem
 from planner_bridge.model.progression import Happening, NotApplicable, Progression, Stage, calls_of, happenings, refuse, snapshot
-from planner_bridge.planning.kairos import DEFAULT_PLANNER, IMPROVE, parse_for_kairos, search, validate
+from planner_bridge.ordering.robot_time import NO_RATES, Rates, robot_time
+from planner_bridge.planning.kairos import DEFAULT_PLANNER, parse_for_kairos, search, validate
 from planner_bridge.planning.validate import InvalidPlan, last_state, validated
 from pnm.core.knowledge_base import KnowledgeBase
 from pnm.core.logic.conditions import Condition, Holds, Not, conjuncts, evaluate, fluents, names
 from pnm.core.logic.effects import possible_assignments
 from pnm.core.logic.expressions import Constant, Fluent, Value, ValueOf, value_of
+from pnm.core.machine.bindings import NO_BINDINGS, Bindings
 from pnm.core.machine.plan_graph import GroundAction, Moment
 from pnm.errors import check_kinds, check_seconds
 
@@ -44,18 +46,21 @@ def solve(
     *,
     planner: str = DEFAULT_PLANNER,
     timeout: float = 30.0,
-    improve: float = IMPROVE,
+    improve: float | None = None,
     cancel: CancelToken | None = None,
     executor: Executor | None = None,
+    bindings: Bindings = NO_BINDINGS,
 ) -> PlanningResult:
     """Search for a plan, validate it, and leave out what it does not need, at most `timeout` seconds.
 
     Args:
         planner: kairos, an engine of unified-planning, ``race`` for several at once, or ``race:kairos,aries`` for these.
         timeout: seconds that the search may take, besides the time to load a planner; a plan that is found late keeps what it has.
-        improve: seconds for which Kairos looks for a better plan once there is one, at most; 0 for the first plan, the same every time.
+        improve: seconds for which Kairos looks for a better plan once there is one; 0 for the first plan, the same every time. By default
+            a share of the time that the plan is expected to take.
         cancel: set from another thread to end the search.
         executor: runs the planners of a portfolio; a process pool by default.
+        bindings: say how long actions take, where the domain does not.
 
     Raises:
         InputError: the planner refuses the problem, is not known, or is not installed.
@@ -63,6 +68,7 @@ def solve(
     check_kinds("solve", {"problem": (problem, Problem), "planner": (planner, str)})
     check_seconds("the search for a plan", timeout)
     check_seconds("the search for a better plan", improve)
+    rates = Rates(bindings)
     stop, timeout = cancel or threading.Event(), min(timeout, _LONGEST)
     until = time.monotonic() + timeout
     if planner == PORTFOLIO or planner.startswith(_PORTFOLIO_OF):
@@ -70,10 +76,10 @@ def solve(
 
         members = None if planner == PORTFOLIO else _portfolio_members(planner)
         found = solve_with_portfolio(problem, planners=members, timeout=timeout, executor=executor, cancel=stop)
-        return reduced(problem, found, until=until)
-    parsed = parse_for_kairos(problem) if planner == DEFAULT_PLANNER else None  # once, for its search and its validator
-    found = search(problem, planner, timeout, stop, improve=improve, parsed=parsed)
-    return reduced(problem, validated(problem, found, parsed), parsed, until=until)
+        return reduced(problem, found, until=until, rates=rates)
+    parsed = parse_for_kairos(problem, rates) if planner == DEFAULT_PLANNER else None  # once, for its search and its validator
+    found = search(problem, planner, timeout, stop, improve=improve, parsed=parsed, rates=rates)
+    return reduced(problem, validated(problem, found, parsed), parsed, until=until, rates=rates)
 
 
 def check_planner(planner: str, cancel: CancelToken | None = None) -> None:
@@ -110,7 +116,9 @@ WORK: Final = 32_000
 """Happenings that are simulated at most: enough for every step of a plan of 250. All of them would grow with the square of its length."""
 
 
-def reduced(problem: Problem, result: PlanningResult, parsed: kairos.Problem | None = None, *, until: float = inf) -> PlanningResult:
+def reduced(
+    problem: Problem, result: PlanningResult, parsed: kairos.Problem | None = None, *, until: float = inf, rates: Rates = NO_RATES
+) -> PlanningResult:
     """Return the result with a plan that has no needless step; one of a task network, or with preferences, is more than a way to a goal.
 
     Args:
@@ -122,9 +130,15 @@ def reduced(problem: Problem, result: PlanningResult, parsed: kairos.Problem | N
         return result
     if problem.metric is not None:
         plan = replace(plan, cost=_cost(problem, plan))
-    shorter = _Elimination(problem, plan).without_needless(until)
+    shorter, work = plan, WORK
+    while len((less := (elimination := _Elimination(problem, shorter, work)).without_needless(until)).steps) < len(shorter.steps):
+        shorter, work = less, elimination.work  # without a call another one may be needless that was not before
     is_shorter = len(shorter.steps) < len(plan.steps)
-    return result if is_shorter and validate(problem, shorter, parsed) else replace(result, plan=shorter)
+    if is_shorter and validate(problem, shorter, parsed):
+        return result
+    if rates.are_measure(problem):
+        shorter = replace(shorter, seconds=robot_time(problem, shorter, rates))
+    return replace(result, plan=shorter)
 
 
 def indispensable(problem: Problem, actions: Sequence[GroundAction]) -> frozenset[int]:
@@ -168,7 +182,7 @@ class _Elimination:
     The mutable state is the plan, the numbers of the steps that were left out, and the work that is left.
     """
 
-    def __init__(self, problem: Problem, plan: Plan) -> None:
+    def __init__(self, problem: Problem, plan: Plan, work: int) -> None:
         self._problem = problem
         self._first = plan
         self._actions = [call.action for call in calls_of(problem, plan)]
@@ -176,7 +190,7 @@ class _Elimination:
         self._needed = indispensable(problem, self._actions)
         self._plan = plan
         self._lost = frozenset[int]()
-        self._work = WORK
+        self.work = work
 
     def without_needless(self, until: float) -> Plan:
         """Return the plan without its needless steps, as far as they are found by then.
@@ -188,7 +202,7 @@ class _Elimination:
             for index in (event.call for event in happening.events if event.moment is Moment.START):
                 if index in self._lost or index in self._needed:
                     continue
-                if self._work <= 0 or time.monotonic() >= until:
+                if self.work <= 0 or time.monotonic() >= until:
                     return self._plan
                 self._try_without(index, position, simulation)
             try:
@@ -198,7 +212,7 @@ class _Elimination:
         return self._plan
 
     def _advance(self, simulation: Progression, happening: Happening, lost: Collection[int]) -> None:
-        self._work -= 1
+        self.work -= 1
         events = [(event, self._actions[event.call]) for event in happening.events if event.call not in lost]
         simulation.advance(events, happening.changes)
 
@@ -209,7 +223,7 @@ class _Elimination:
             return
         left = [number for number in range(len(self._first.steps)) if number not in lost]
         while True:
-            self._work -= len(left)
+            self.work -= len(left)
             shorter = replace(self._first, steps=tuple(self._first.steps[number] for number in left))
             try:
                 cost = _cost(self._problem, shorter)

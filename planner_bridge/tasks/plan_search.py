@@ -391,8 +391,16 @@ class PlanSearch:
         settings = self._context.settings
         # The planner may not take longer than the task has left.
         timeout = max(0.01, min(settings.planner_timeout * share, self._monitor.limit.left))
-        planner, improve, executor, search = settings.planner, settings.improve, settings.executor, settings.solver or solve
-        return partial(search, problem, planner=planner, timeout=timeout, improve=improve, cancel=stop, executor=executor)
+        return partial(
+            settings.solver or solve,
+            problem,
+            planner=settings.planner,
+            timeout=timeout,
+            improve=settings.improve,
+            cancel=stop,
+            executor=settings.executor,
+            bindings=settings.bindings,
+        )
 
 
 def _needed(now: Problem, plan: Plan, under_way: list[ActionCall]) -> Footprint:

@@ -8,7 +8,7 @@ from enum import Enum
 from typing import TYPE_CHECKING
 
 from planner_bridge.model.plan import Plan, PlanningResult
-from planner_bridge.planning.kairos import DEFAULT_PLANNER, IMPROVE
+from planner_bridge.planning.kairos import DEFAULT_PLANNER
 from planner_bridge.tasks.replanning import Limits, PlanAgain, ResumePlan
 from planner_bridge.tasks.result import Violation
 from pnm.core.execution.call_results import RunResult
@@ -79,8 +79,8 @@ class Settings:
 
     planner: str = DEFAULT_PLANNER
     planner_timeout: float = 30.0
-    improve: float = IMPROVE
-    """Seconds for which a better plan is looked for once there is one, at most; 0 for the first plan, the same every time."""
+    improve: float | None = None
+    """Seconds for which a better plan is looked for; 0 for the first plan, the same every time; by default a share of what it takes."""
     bindings: Bindings = field(default_factory=Bindings)
     limits: Limits = field(default_factory=Limits)
     on_failure: OnFailure = OnFailure.DRAIN

@@ -12,7 +12,6 @@ from planner_bridge.pddl import parse_domain, parse_problem, read_domain, read_p
 from planner_bridge.pddl.comments import CommentTable
 from planner_bridge.pddl.reader import MAX_BYTES, comments
 from planner_bridge.pddl.writer import write_domain as domain_text, write_problem as problem_text
-from planner_bridge.planning.kairos import IMPROVE
 from planner_bridge.planning.solve import solve
 from planner_bridge.yaml.reader import read
 from planner_bridge.yaml.write_plan import plan_entries
@@ -48,7 +47,7 @@ def exported(
     bindings: Bindings = NO_BINDINGS,
     planner: str = "kairos",
     timeout: float = 30.0,
-    improve: float = IMPROVE,
+    improve: float | None = None,
 ) -> Exported:
     """Return a PDDL domain as YAML: alone, with a problem for it, or with a plan besides, which the planner has `timeout` seconds to find.
 
@@ -65,7 +64,7 @@ def exported(
     whole = read_problem(problem, model)
     if not with_plan:
         return Exported(write_problem(whole, _both(domain, problem), bindings=bindings), whole.warnings)
-    result = solve(whole, planner=planner, timeout=timeout, improve=improve)
+    result = solve(whole, planner=planner, timeout=timeout, improve=improve, bindings=bindings)
     if result.plan is None:
         return Exported(warnings=whole.warnings, reason=result.reason)
     graph = plan_graph(whole, result.plan)

@@ -53,6 +53,7 @@ class BindingKeys(Keys):
         "result fields, and the variables that keep them: `{time: travel_time}`",
         "every field, by its own name",
     )
+    seconds = number("seconds that the action is expected to take, where the domain gives no duration: plans are measured by it", None, "1")
     timeout = number(
         "seconds from acceptance until the goal is cancelled", None, "twice the planned duration, 10 at least; 60 without a duration"
     )
@@ -146,6 +147,7 @@ def read_binding(keys: BindingKeys) -> Binding:
         reason=None if reason is None else field_value(reason),
         final=None if final is None else field_test(final),
         store=keys.store,
+        seconds=keys.seconds,
         timeout=keys.timeout,
         accept=keys.accept,
         cancel=keys.cancel,

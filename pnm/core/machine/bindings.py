@@ -83,6 +83,8 @@ class Binding:
     """A test of a failure's result: another attempt is useless, and the action is not tried again within the plan."""
     store: Mapping[str, str] = field(default_factory=dict)
     """Result fields and the variables they are stored in; every other field is stored by its own name."""
+    seconds: float | None = None
+    """Seconds that the action is expected to take where the domain does not say so; None if nobody knows."""
     timeout: float | None = None
     """Seconds from acceptance until the action is cancelled; by default twice the planned duration, 10 at least."""
     accept: float = 15.0
@@ -103,7 +105,7 @@ class Binding:
     """Its position in a file."""
 
     def __post_init__(self) -> None:
-        check_seconds(f"the binding of {self.server or 'an action'}", self.timeout, self.accept, self.cancel)
+        check_seconds(f"the binding of {self.server or 'an action'}", self.seconds, self.timeout, self.accept, self.cancel)
         check_counts(f"the binding of {self.server or 'an action'}", retries=self.retries)
 
     def judged(self, outcome: Outcome) -> Outcome:

@@ -137,10 +137,12 @@ def carried_out(problem: Problem, actions: list[GroundAction]) -> tuple[list[Gro
 
 def eliminated(problem: Problem, actions: list[GroundAction]) -> list[GroundAction]:
     """The definition: an action is left out, and with it all that cannot be carried out then, if the goal is reached all the same."""
-    number = 0
-    while number < len(actions):
-        left, is_reached = carried_out(problem, [*actions[:number], *actions[number + 1 :]])
-        actions, number = (left, number) if is_reached else (actions, number + 1)
+    before = len(actions) + 1
+    while len(actions) < before:  # until no pass leaves anything out
+        before, number = len(actions), 0
+        while number < len(actions):
+            left, is_reached = carried_out(problem, [*actions[:number], *actions[number + 1 :]])
+            actions, number = (left, number) if is_reached else (actions, number + 1)
     return actions
 
 
@@ -196,7 +198,7 @@ def test_when_the_time_is_over_the_plan_stays_as_it_is_by_then(looks: int) -> No
 def test_the_limit_of_a_search_counts_for_that_as_well(monkeypatch: pytest.MonkeyPatch) -> None:
     ends, now = list[float](), module.time.monotonic()
 
-    def note(problem: Problem, result: PlanningResult, parsed: object, *, until: float) -> PlanningResult:
+    def note(problem: Problem, result: PlanningResult, parsed: object, *, until: float, rates: object) -> PlanningResult:
         ends.append(until)
         return result
 

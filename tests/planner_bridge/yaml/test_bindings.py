@@ -32,6 +32,7 @@ EVERYTHING = Binding(
         "deep": {"list": [1, 2.5, True, None, "on"], "x": "(distance ?from ?to)"},
     },
     store={"time": "travel time"},
+    seconds=6.0,
     timeout=30.0,
     accept=3.5,
     cancel=1.0,

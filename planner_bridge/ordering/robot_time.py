@@ -1,0 +1,110 @@
+"""Robot time: the seconds that calls are expected to take, and those until all calls of a plan are carried out."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Final
+
+from planner_bridge.model.forbidden_actions import unused_name
+from planner_bridge.model.plan import Plan
+from planner_bridge.model.problem import Domain, Metric, Problem, once_per_domain
+from planner_bridge.model.progression import calls_of
+from planner_bridge.ordering.plan_to_graph import plan_graph
+from pnm.core.logic.domain import Declaration
+from pnm.core.logic.effects import Set
+from pnm.core.logic.expressions import Constant, ValueOf
+from pnm.core.machine.bindings import NO_BINDINGS, Bindings, placeholders
+from pnm.core.machine.plan_graph import GroundAction, PlanGraphError
+
+ASSUMED: Final = 1.0
+"""Seconds of a call of which nothing else is known."""
+
+
+@dataclass(frozen=True)
+class Rates:
+    """What is known about calls before they are made: how long an attempt takes, and how often it succeeds."""
+
+    bindings: Bindings = NO_BINDINGS
+
+    def seconds_of(self, action: GroundAction) -> float:
+        """Return the seconds of an attempt: as the domain says, else as the binding says, else `ASSUMED`."""
+        if action.duration is not None:
+            return action.duration
+        seconds = self.bindings.of(action.name).seconds
+        return ASSUMED if seconds is None else seconds
+
+    def chance_of(self, action: GroundAction) -> float:
+        """Return the share of attempts that succeed; nothing is known about that yet."""
+        return 1.0
+
+    def expected(self, action: GroundAction) -> float:
+        """Return the seconds until a call has succeeded, attempts that fail included."""
+        return self.seconds_of(action) / self.chance_of(action)
+
+    def are_measure(self, problem: Problem) -> bool:
+        """Return whether plans are measured by them: the domain has no metric and no times, and something is known about its actions."""
+        known = (self.bindings.of(name).seconds is not None for name in problem.domain.actions)
+        return problem.metric is None and not problem.is_timed and any(known)
+
+    def have_turns(self, problem: Problem) -> bool:
+        """Return whether no two calls can go on at the same time: there is a resource that all of them need."""
+        needed: list[set[str]] = []
+        for schema in problem.domain.actions.values():
+            able = {v.name[1:]: {name for kind in v.types for name in problem.objects_by_type.get(kind, ())} for v in schema.parameters}
+            only = {name: members.pop() for name, members in able.items() if len(members) == 1}
+            patterns = self.bindings.of(schema.name).resources
+            needed.append({pattern.format_map(only) for pattern in patterns if only.keys() >= {*placeholders(pattern)}})
+        return bool(needed) and bool(set[str].intersection(*needed))
+
+
+NO_RATES: Final = Rates()
+
+
+def robot_time(problem: Problem, plan: Plan, rates: Rates = NO_RATES) -> float:
+    """Return the seconds until all calls are carried out, if each begins as soon as those are over that it has to wait for.
+
+    Calls that need the same resource take turns, in the order of the plan. A plan with times takes as long as these say.
+    """
+    if plan.temporal:
+        return plan.makespan
+    try:
+        graph = plan_graph(problem, plan)
+    except PlanGraphError:  # a plan that is valid, but not by causes alone: its calls can be made one after the other
+        return sum(rates.expected(call.action) for call in calls_of(problem, plan))
+    ends: list[float] = []
+    free: dict[str, float] = {}
+    waits: list[list[int]] = [[] for _ in graph.calls]
+    for ordering in graph.orderings:
+        waits[ordering.after.call].append(ordering.before.call)
+    for call in graph.calls:
+        resources = rates.bindings.resources(call.action)
+        begins = max((*(ends[other] for other in waits[call.index]), *(free.get(name, 0.0) for name in resources)), default=0.0)
+        ends.append(begins + rates.expected(call.action))
+        free |= dict.fromkeys(resources, ends[-1])
+    return max(ends, default=0.0)
+
+
+def priced(problem: Problem, rates: Rates) -> Problem:
+    """Return the problem with a metric that adds up the seconds of calls, if plans are measured by them and they differ.
+
+    Planners that minimise it know nothing of calls that go on at the same time.
+    """
+    if not rates.are_measure(problem):
+        return problem
+    seconds = tuple((name, rates.expected(GroundAction(name))) for name in problem.domain.actions)
+    if len({price for _, price in seconds}) == 1:
+        return problem
+    domain, name = _with_prices(problem.domain, seconds)
+    return replace(problem, domain=domain, init={**problem.init, (name,): 0.0}, metric=Metric("minimize", ValueOf((name,))))
+
+
+@once_per_domain
+def _with_prices(domain: Domain, seconds: tuple[tuple[str, float], ...]) -> tuple[Domain, str]:
+    """Return the domain whose actions add their seconds to a function, and its name."""
+    name = unused_name("robot-time", domain)
+    actions = dict(domain.actions)
+    for action, price in seconds:
+        added = Set((name,), Constant(price), "increase")
+        actions[action] = replace(actions[action], end_effects=(*actions[action].end_effects, added))
+    requirements = tuple(dict.fromkeys((*domain.requirements, ":numeric-fluents")))
+    return replace(domain, requirements=requirements, functions={**domain.functions, name: Declaration(name)}, actions=actions), name

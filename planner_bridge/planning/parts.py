@@ -1,0 +1,107 @@
+"""Parts of a plan, each replaced by a better one: from the state before it to what the rest of the plan needs.
+
+A part of a long plan is a short problem, which Kairos solves best in milliseconds where the whole would take hours (Siddiqui and
+Haslum 2015, *Continuing Plan Quality Optimisation*, on windows of plans). Detours over places where nothing is done, things that are
+put down to be picked up again, and ways that could be gone once for two things, all lie in such parts.
+
+What the rest needs is guessed from what it reads; a whole plan with another part is valid only by the validator.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import suppress
+from dataclasses import replace
+from typing import Final
+
+from planner_bridge.model.grounding import initial_knowledge
+from planner_bridge.model.plan import Plan
+from planner_bridge.model.problem import Problem
+from planner_bridge.model.progression import NotApplicable, Progression, calls_of, snapshot
+from planner_bridge.ordering.plan_to_graph import causal_links
+from planner_bridge.planning.normal_form import conditions_of
+from pnm.core.logic.conditions import Compare, Condition, Holds, Not, conjunction, evaluate, every_part, fluents
+from pnm.core.logic.effects import constants
+from pnm.core.logic.expressions import Constant, Unknown, ValueOf
+
+SHORTEST: Final = 6
+"""Calls of the parts that are tried first; each round tries parts that are longer by half."""
+
+
+def can_have_parts(problem: Problem) -> bool:
+    """Return whether a plan is a sequence of calls of which only the end matters."""
+    watched = problem.constraints or problem.domain.constraints or problem.has_preferences or problem.network
+    return not (problem.is_timed or watched)
+
+
+def better_parts(problem: Problem, plan: Plan, solve: Callable[[Problem], Plan | None], take: Callable[[Plan], bool]) -> Iterator[bool]:
+    """Replace parts of a plan by better ones: yield True after each part that was tried, the longest of which is all but the whole.
+
+    Args:
+        solve: finds a plan for a part, or none in a short time.
+        take: takes a plan if it is better, and returns whether it was taken.
+    """
+    rest, length = _Rest(problem, plan), SHORTEST
+    while length < len(plan.steps):
+        first = 0
+        while first < len(plan.steps) - 1:
+            last = min(first + length, len(plan.steps))
+            found = solve(rest.part(first, last))
+            if found is not None and found.steps != plan.steps[first:last]:
+                other = replace(plan, steps=(*plan.steps[:first], *found.steps, *plan.steps[last:]))
+                with suppress(NotApplicable):
+                    rest_of_other = _Rest(problem, other)
+                    if rest_of_other.reaches_goal and take(other):
+                        plan, rest, first = other, rest_of_other, first - length
+            first = max(0, first + length // 2)
+            yield True
+        length += length // 2
+
+
+class _Rest:
+    """The states of a plan, and what its rest reads from each on; raises `NotApplicable` if it cannot be carried out."""
+
+    def __init__(self, problem: Problem, plan: Plan) -> None:
+        self._problem = problem
+        calls = calls_of(problem, plan)
+        simulation, links = Progression(initial_knowledge(problem)), causal_links(problem, [call.action for call in calls])
+        self._states = [snapshot(simulation.state)]
+        for call, start, end in zip(calls, links.starts, links.ends, strict=True):
+            simulation.advance([(start, call.action), (end, call.action)])
+            self._states.append(snapshot(simulation.state))
+        self.reaches_goal = evaluate(problem.goal, simulation.state) is True
+        needed = links.relevant_of(fluents(problem.goal, simulation.state))
+        self._reads = [needed]
+        """By position: what the rest reads before it writes it."""
+        for call, start, end in zip(reversed(calls), reversed(links.starts), reversed(links.ends), strict=True):
+            needed = (needed - (constants(call.action.end_effects) or {}).keys()) | links.reads[start] | links.reads[end]
+            self._reads.append(needed)
+        self._reads.reverse()
+        own = (fluents(condition, simulation.state) for condition in (problem.goal, *(call.action.precondition for call in calls)))
+        self._mentioned = frozenset().union(*own)
+        """What conditions mention themselves, and not only what derived facts follow from."""
+        self._large = _larger_is_better(problem)
+
+    def part(self, first: int, last: int) -> Problem:
+        """Return the problem of coming from one position to what the rest from another on needs."""
+        state, goals = self._states[last], list[Condition]()
+        for fluent in sorted(self._reads[last]):
+            match state.value(fluent):
+                case True:
+                    goals.append(Holds(fluent))
+                case False | None if fluent in self._mentioned and fluent[0] in self._problem.domain.predicates:
+                    goals.append(Not(Holds(fluent)))
+                case int() | float() | str() as value if value is not False:
+                    goals.append(Compare(">=" if fluent[0] in self._large else "=", ValueOf(fluent), Constant(value)))
+        facts = self._states[first].facts()
+        init = {fluent: value for fluent, value in facts.items() if not isinstance(value, Unknown)}
+        return replace(self._problem, init=init, goal=conjunction(goals))
+
+
+def _larger_is_better(problem: Problem) -> frozenset[str]:
+    """Return the functions that conditions want to be large, such as a battery's charge, and never small."""
+    comparisons = [part for condition in conditions_of(problem) for part in every_part(condition) if isinstance(part, Compare)]
+    sides = [(part.left, part.right, part.operation) for part in comparisons]
+    sides += [(right, left, {">": "<", "<": ">", ">=": "<=", "<=": ">="}.get(operation, "=")) for left, right, operation in sides]
+    wanted = [(side.fluent[0], operation) for side, _, operation in sides if isinstance(side, ValueOf)]
+    return frozenset(name for name, _ in wanted) - {name for name, operation in wanted if not operation.startswith(">")}

@@ -1,0 +1,79 @@
+"""Plans that take robots little time: what calls are expected to take counts, and parts of plans are replaced by better ones."""
+
+from __future__ import annotations
+
+import pytest
+
+from planner_bridge.model.plan import Plan, PlanStep
+from planner_bridge.model.problem import Problem
+from planner_bridge.ordering.robot_time import Rates, priced, robot_time
+from planner_bridge.pddl import parse_domain, parse_problem
+from planner_bridge.planning.solve import solve
+from pnm.core.machine.bindings import Binding, Bindings
+from pnm.errors import InputError
+from tests.support.pddl.problems import rooms
+
+SLOW_SWEEP = Bindings({"move": Binding(seconds=2.0), "sweep": Binding(seconds=10.0)})
+
+
+def plan_of(*calls: str) -> Plan:
+    """A sequential plan of calls such as ``move r1 a b``."""
+    words = [call.split() for call in calls]
+    return Plan(tuple(PlanStep(name, tuple(arguments)) for name, *arguments in words))
+
+
+def ways(direct: str = "") -> Problem:
+    """A place that is reached by two short drives or a flight, and by foot."""
+    domain = parse_domain("""
+    (define (domain ways)
+      (:requirements :strips)
+      (:predicates (begun) (halfway) (there))
+      (:action drive_out :parameters () :effect (halfway))
+      (:action drive_in :parameters () :precondition (halfway) :effect (there))
+      (:action walk :parameters () :effect (there)))
+    """)
+    return parse_problem(f"(define (problem p) (:domain ways) (:init (begun)) (:goal (there)) {direct})", domain)
+
+
+def test_the_plan_with_the_least_seconds_is_found_and_not_that_with_the_fewest_calls() -> None:
+    walk_is_slow = Bindings({"walk": Binding(seconds=60.0), "drive_out": Binding(seconds=5.0)})
+    fast, short = solve(ways(), bindings=walk_is_slow).plan, solve(ways()).plan
+    assert fast is not None
+    assert short is not None
+    assert [step.action for step in fast.steps] == ["drive_out", "drive_in"]
+    assert fast.seconds == pytest.approx(6.0)
+    assert str(fast).startswith("2 calls, 6 s expected")
+    assert [step.action for step in short.steps] == ["walk"]
+    assert short.seconds is None
+
+
+def test_calls_that_go_on_at_the_same_time_count_once_unless_they_need_the_same_resource() -> None:
+    problem = rooms(goal="(and (clean a) (clean b))", init="(at r1 a) (at r2 b)")
+    plan = plan_of("sweep r1 a", "sweep r2 b")
+    one_broom = Bindings({"sweep": Binding(seconds=10.0, resources=("broom",))})
+    assert robot_time(problem, plan, Rates(SLOW_SWEEP)) == 10.0
+    assert robot_time(problem, plan, Rates(one_broom)) == 20.0
+    assert robot_time(problem, plan_of("move r1 a b", "move r1 b c", "sweep r2 b"), Rates(SLOW_SWEEP)) == 10.0
+
+
+def test_nothing_is_called_best_where_calls_can_go_on_at_the_same_time() -> None:
+    problem = rooms(goal="(clean a)")
+    together = solve(problem, bindings=SLOW_SWEEP).plan
+    in_turn = Bindings({name: Binding(seconds=2.0, resources=("floor",)) for name in ("move", "sweep")})
+    one_by_one = solve(problem, bindings=in_turn).plan
+    assert together is not None
+    assert one_by_one is not None
+    assert (together.is_best, one_by_one.is_best) == (False, True)
+
+
+def test_a_metric_of_the_problem_counts_and_not_the_seconds() -> None:
+    problem = ways("(:metric minimize (total-time))")
+    assert priced(problem, Rates(Bindings({"walk": Binding(seconds=60.0)}))) is problem
+    plan = solve(problem, bindings=Bindings({"walk": Binding(seconds=60.0)})).plan
+    assert plan is not None
+    assert [step.action for step in plan.steps] == ["walk"]
+
+
+def test_seconds_are_not_negative() -> None:
+    with pytest.raises(InputError):
+        Binding(seconds=-1.0)
