@@ -36,7 +36,7 @@ _WEAKEST = 3
 @options.set_option
 @options.bindings_option
 @options.faults_option
-@options.planning_within(0.04)  # people look, and no robot moves
+@options.planning
 @click.option("--replans", type=click.IntRange(0), default=10, show_default=True, help="new machines after the first, at most")
 @click.option("--seconds", type=options.Seconds(0), default=SECONDS, show_default=True, help="seconds of processor time for roll-outs")
 @options.as_json_option
@@ -52,12 +52,12 @@ def odds(
     faults: Path | None,
     planner: str,
     planner_timeout: float,
-    improve: float,
+    improve: float | None,
     replans: int,
     seconds: float,
     as_json: bool,
 ) -> int:
-    """Say how likely a plan reaches the goal, and how soon.
+    """Say how likely and how soon a goal is reached.
 
     The chance is exact as long as nothing is planned anew. What new plans add is found by roll-outs: runs of the machine on simulated
     robots. Chances of single attempts are those of --faults.
@@ -77,7 +77,7 @@ def odds(
         loaded = options.problem_in(*chosen)
         settings = replace(settings, bindings=bindings_for(chosen[0], bindings, loaded.vocabulary))
         with options.searching(planner, planner_timeout):
-            result = solve(loaded, planner=planner, timeout=planner_timeout, improve=improve)
+            result = solve(loaded, planner=planner, timeout=planner_timeout, improve=improve, bindings=settings.bindings)
         if result.plan is None:
             SafeConsole(stderr=as_json).print_reason("no plan:", result.reason)
             return 1

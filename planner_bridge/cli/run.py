@@ -54,7 +54,7 @@ from pnm.tasks import Code, Tasks
 @click.option(
     "--without-progress",
     type=click.IntRange(0),
-    default=5,
+    default=10,
     show_default=True,
     help="of those, how many in a row may bring no progress: nothing new is known, and no fewer calls are left",
 )

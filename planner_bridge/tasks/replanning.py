@@ -37,7 +37,7 @@ class Limits:
 
     replans: int = 100
     """New nets after the first, whether or not a planner was asked."""
-    without_progress: int = 5
+    without_progress: int = 10
     """Of those, the ones in a row that bring no progress; see `Reached`."""
     seconds: float | None = None
     """From the start of the task, pauses left out, on the clock of its runs. By default an hour, or the result of `allowed`."""
