@@ -42,6 +42,8 @@ ENOUGH_TIMES: Final = 5
 """Measured times from which they have seconds of their own: those vary less than ends do."""
 ENOUGH_FOR_LIMIT: Final = 10
 """Successful attempts from which there is a limit that fits."""
+LEAST_LIMIT: Final = 1.0
+"""The fewest seconds of a limit: messages may be late."""
 FALSE_TIMEOUTS: Final = 0.001
 """The share of successful attempts that a limit that fits may cut off."""
 SECURITY: Final = 0.95
@@ -324,7 +326,7 @@ class Rates:
         # the quantile of Student's distribution, by Cornish and Fisher
         t = z + (z**3 + z) / (4 * v) + (5 * z**5 + 16 * z**3 + 3 * z) / (96 * v**2)
         t += (3 * z**7 + 19 * z**5 + 17 * z**3 - 15 * z) / (384 * v**3)
-        return max(exp(log(STEP) * (mean + t * spread)), 1.25 * exp(log(STEP) * max(steps)))
+        return max(exp(log(STEP) * (mean + t * spread)), 1.25 * exp(log(STEP) * max(steps)), LEAST_LIMIT)
 
     # --- writing ---
 

@@ -25,6 +25,7 @@ from pnm.journal.store import copy_journal
 from pnm.tasks import Code, TaskEnding
 from tests.support.files import ROOT
 from tests.support.runs.simulated import on_a_loop
+from tests.support.tasks.scenarios.random_scenarios import run_scenario
 
 DELIVERY = ROOT / "domains" / "delivery" / "domain.pddl", ROOT / "problems" / "delivery" / "p01.pddl"
 
@@ -46,6 +47,14 @@ def test_every_attempt_counts_once(delivery: Path) -> None:
     taken = sum(attempt.ended - attempt.accepted for attempt in sent if attempt.ended is not None and attempt.accepted is not None)
     milliseconds = sum(counts.took.total + counts.failed_after.total for counts in rates.calls.values())
     assert milliseconds / 1000.0 == pytest.approx(taken, abs=0.001 * len(sent))
+
+
+@pytest.mark.parametrize("number", [6, 9, 12, 29])  # lost and never found; handed over; without effects; timed out
+def test_no_attempt_is_left_out_whatever_happens(number: int, tmp_path: Path) -> None:
+    run_scenario(number, journal=tmp_path / "journal")
+    attempts = JournalHistory.read(tmp_path / "journal").attempts.values()
+    ended = sum(attempt.action.operation is None and attempt.ended is not None for attempt in attempts)
+    assert ends_of(learn(tmp_path / "journal")).total() == ended > 2
 
 
 @pytest.mark.parametrize(
