@@ -82,6 +82,7 @@ def app() -> None:
 @app.command(epilog="Example: pnm plan domain.pddl problem.pddl --format svg -o plan.svg")
 @options.files
 @options.bindings_option
+@options.rates_option
 @options.planning
 @click.option(
     "--format",
@@ -99,6 +100,7 @@ def plan(
     domain: Path,
     problem: Path,
     bindings: Path | None,
+    rates: Path | None,
     planner: str,
     planner_timeout: float,
     improve: float | None,
@@ -109,7 +111,7 @@ def plan(
 ) -> int:
     """Find and print a plan."""
     from planner_bridge.model.plan import PlanningStatus
-    from planner_bridge.pipeline.loading import bindings_for
+    from planner_bridge.pipeline.loading import bindings_for, rates_for
     from planner_bridge.planning.kairos import DEFAULT_PLANNER
     from planner_bridge.planning.solve import solve
 
@@ -121,7 +123,7 @@ def plan(
     bound = bindings_for(domain, bindings, loaded.vocabulary)
     thought = _IMPROVE if improve is None and (loaded.is_timed or loaded.metric) else improve
     with options.searching(planner, planner_timeout):
-        result = solve(loaded, planner=planner, timeout=planner_timeout, improve=thought, bindings=bound)
+        result = solve(loaded, planner=planner, timeout=planner_timeout, improve=thought, bindings=bound, learned=rates_for(domain, rates))
     if as_json:
         steps = [
             {"action": step.action, "arguments": [*step.arguments], "start": round(step.start, 6), "duration": round(step.duration, 6)}

@@ -19,7 +19,7 @@ from planner_bridge.cli.options import ADOPT, GIVEN, Seconds, command
 from planner_bridge.cli.run_console import ConsoleObserver, print_result
 from planner_bridge.pipeline.achieve import Actions, achieve
 from planner_bridge.pipeline.carry_out import carry_out
-from planner_bridge.pipeline.loading import RATES, bindings_for
+from planner_bridge.pipeline.loading import RATES, bindings_for, rates_for
 from planner_bridge.planning.solve import check_planner
 from planner_bridge.tasks.replanning import Limits
 from planner_bridge.tasks.result import Stopwatch, TaskResult
@@ -160,6 +160,7 @@ def run(
                 loaded = options.problem_in(*chosen)
                 sensors = read_sensing(sensing, loaded.vocabulary) if sensing else NO_SENSING
                 settings = replace(settings, bindings=bindings_for(chosen[0], bindings, loaded.vocabulary), sensing=sensors)
+                settings = replace(settings, learned=rates_for(chosen[0], rates, grows=learns))
                 begin = partial(achieve, None, loaded, faults=options.faults_in(faults, loaded.vocabulary), stopwatch=stopwatch)
         with observed(output, console, settings, actions, page) as observer:
             result = begin(actions=actions, settings=settings, observer=observer, journal=kept)

@@ -147,6 +147,7 @@ class ServedProblem:
                     cancel=cancel,
                     executor=settings.executor,
                     bindings=settings.bindings,
+                    learned=settings.learned,
                 )
                 if result.plan is None:
                     return MadePlan(code_of_planning(result.status, ()), result.reason, str(problem.goal))

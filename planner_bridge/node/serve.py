@@ -17,7 +17,7 @@ from planner_bridge.node.node_log import NodeObserver, open_diagnoses
 from planner_bridge.node.options import PARAMETERS, Options
 from planner_bridge.node.problem_service import NOTHING, ProblemFolder, ServedProblem
 from planner_bridge.node.world_queries import SharedWorld, read_goals
-from planner_bridge.pipeline.loading import RATES
+from planner_bridge.pipeline.loading import RATES, rates_for
 from planner_bridge.tasks.replanning import Limits
 from planner_bridge.tasks.settings import Settings
 from planner_bridge.tasks.task_manager import TaskLimits, TaskManager
@@ -57,6 +57,7 @@ def make_task_manager(context: NodeContext) -> tuple[TaskManager, ServedProblem]
         options.planner_timeout,
         options.improve,
         bindings=context.bindings,
+        learned=rates_for(options.domain, options.rates, grows=options.learn),
         limits=Limits(options.replans, options.without_progress, patience=options.patience),
         on_failure=options.on_failure,
         on_change=options.on_change,

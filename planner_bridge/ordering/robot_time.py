@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Final
 
 from planner_bridge.model.forbidden_actions import unused_name
 from planner_bridge.model.plan import Plan
 from planner_bridge.model.problem import Domain, Metric, Problem, once_per_domain
 from planner_bridge.model.progression import calls_of
+from planner_bridge.model.rates import ASSUMED_SECONDS, NO_RATES as NOTHING_LEARNED, Basis, Call, Rates as LearnedRates
 from planner_bridge.ordering.plan_to_graph import plan_graph
 from pnm.core.logic.domain import Declaration
 from pnm.core.logic.effects import Set
@@ -16,7 +18,7 @@ from pnm.core.logic.expressions import Constant, ValueOf
 from pnm.core.machine.bindings import NO_BINDINGS, Bindings, placeholders
 from pnm.core.machine.plan_graph import GroundAction, PlanGraphError
 
-ASSUMED: Final = 1.0
+ASSUMED: Final = ASSUMED_SECONDS
 """Seconds of a call of which nothing else is known."""
 
 
@@ -25,26 +27,35 @@ class Rates:
     """What is known about calls before they are made: how long an attempt takes, and how often it succeeds."""
 
     bindings: Bindings = NO_BINDINGS
+    learned: LearnedRates = NOTHING_LEARNED
 
-    def seconds_of(self, action: GroundAction) -> float:
-        """Return the seconds of an attempt: as the domain says, else as the binding says, else `ASSUMED`."""
-        if action.duration is not None:
-            return action.duration
-        seconds = self.bindings.of(action.name).seconds
-        return ASSUMED if seconds is None else seconds
-
-    def chance_of(self, action: GroundAction) -> float:
-        """Return the share of attempts that succeed; nothing is known about that yet."""
-        return 1.0
+    @cached_property
+    def _found(self) -> dict[tuple[str, tuple[str, ...], float | None], float]:
+        """The expected seconds of calls that were asked for."""
+        return {}
 
     def expected(self, action: GroundAction) -> float:
-        """Return the seconds until a call has succeeded, attempts that fail included."""
-        return self.seconds_of(action) / self.chance_of(action)
+        """Return the seconds until a call has succeeded, attempts that fail included.
+
+        Those of an attempt are learned, else as the domain says, else as the binding says, else `ASSUMED`. All attempts succeed as long
+        as nothing else was learned.
+        """
+        key = action.name, action.arguments, action.duration
+        if key not in self._found:
+            declared = self.bindings.of(action.name).seconds if action.duration is None else action.duration
+            is_whole = len(action.arguments) == len(action.parameters) > 0  # else the action at large is meant
+            call = Call.of(action, self.bindings) if is_whole else Call("", action.name)
+            chance, lasts = self.learned.chance(call), self.learned.seconds(call, declared).mean
+            if chance.rests.basis is Basis.LEARNED:
+                lasts += (1.0 / chance.success - 1.0) * self.learned.seconds(call, declared, succeeded=False).mean
+            self._found[key] = lasts
+        return self._found[key]
 
     def are_measure(self, problem: Problem) -> bool:
         """Return whether plans are measured by them: the domain has no metric and no times, and something is known about its actions."""
-        known = (self.bindings.of(name).seconds is not None for name in problem.domain.actions)
-        return problem.metric is None and not problem.is_timed and any(known)
+        names = problem.domain.actions
+        is_known = any(self.bindings.of(name).seconds is not None or (name,) in self.learned.groups for name in names)
+        return is_known and problem.metric is None and not problem.is_timed
 
     def have_turns(self, problem: Problem) -> bool:
         """Return whether no two calls can go on at the same time: there is a resource that all of them need."""

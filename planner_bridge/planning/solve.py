@@ -17,6 +17,7 @@ from planner_bridge.model.grounding import initial_knowledge
 from planner_bridge.model.plan import CancelToken, Plan, PlanningResult
 from planner_bridge.model.problem import TOTAL_TIME, Problem
 from planner_bridge.model.progression import Happening, NotApplicable, Progression, Stage, calls_of, happenings, refuse, snapshot
+from planner_bridge.model.rates import NO_RATES as NOTHING_LEARNED, Rates as LearnedRates
 from planner_bridge.ordering.robot_time import NO_RATES, Rates, robot_time
 from planner_bridge.planning.kairos import DEFAULT_PLANNER, parse_for_kairos, search, validate
 from planner_bridge.planning.validate import InvalidPlan, last_state, validated
@@ -50,6 +51,7 @@ def solve(
     cancel: CancelToken | None = None,
     executor: Executor | None = None,
     bindings: Bindings = NO_BINDINGS,
+    learned: LearnedRates = NOTHING_LEARNED,
 ) -> PlanningResult:
     """Search for a plan, validate it, and leave out what it does not need, at most `timeout` seconds.
 
@@ -61,6 +63,7 @@ def solve(
         cancel: set from another thread to end the search.
         executor: runs the planners of a portfolio; a process pool by default.
         bindings: say how long actions take, where the domain does not.
+        learned: say how long they take, and how often they succeed, by what has happened.
 
     Raises:
         InputError: the planner refuses the problem, is not known, or is not installed.
@@ -68,7 +71,7 @@ def solve(
     check_kinds("solve", {"problem": (problem, Problem), "planner": (planner, str)})
     check_seconds("the search for a plan", timeout)
     check_seconds("the search for a better plan", improve)
-    rates = Rates(bindings)
+    rates = Rates(bindings, learned)
     stop, timeout = cancel or threading.Event(), min(timeout, _LONGEST)
     until = time.monotonic() + timeout
     if planner == PORTFOLIO or planner.startswith(_PORTFOLIO_OF):

@@ -400,6 +400,7 @@ class PlanSearch:
             cancel=stop,
             executor=settings.executor,
             bindings=settings.bindings,
+            learned=settings.learned,
         )
 
 

@@ -8,6 +8,7 @@ from enum import Enum
 from typing import TYPE_CHECKING
 
 from planner_bridge.model.plan import Plan, PlanningResult
+from planner_bridge.model.rates import NO_RATES, Rates
 from planner_bridge.planning.kairos import DEFAULT_PLANNER
 from planner_bridge.tasks.replanning import Limits, PlanAgain, ResumePlan
 from planner_bridge.tasks.result import Violation
@@ -95,12 +96,14 @@ class Settings:
     """Whether time is that of a simulation, from ``/clock``; with the action servers of ROS 2 only."""
     solver: Callable[..., PlanningResult] | None = None
     """Searches for plans in place of `planner_bridge.planning.solve.solve`, with the same arguments."""
+    learned: Rates = NO_RATES
+    """How long calls take, and how often they succeed, by what has happened; plans are measured by that."""
 
     def __post_init__(self) -> None:
         """Refuse what has another meaning than it seems to have, such as a name in place of what it names."""
         if not isinstance(self.bindings, Bindings):
             raise InputError(f"expected Bindings, found {self.bindings!r}; `pnm.read_bindings` reads a file")
-        kinds = {"planner": str, "limits": Limits, "sensing": Sensing, "on_failure": OnFailure, "on_change": OnChange}
+        kinds = {"planner": str, "limits": Limits, "learned": Rates, "sensing": Sensing, "on_failure": OnFailure, "on_change": OnChange}
         check_kinds("settings", {name: (getattr(self, name), kind) for name, kind in kinds.items()})
         check_seconds("the search for a plan", self.planner_timeout)
         check_seconds("the search for a better plan", self.improve)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections import Counter
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -133,6 +134,21 @@ def test_runs_learn_as_they_end(tmp_path: Path) -> None:
     assert CliRunner().invoke(app, ["run", domain, problem, "--learn", "--rates", str(elsewhere), "-q"]).exit_code == 0
     assert ends_of(rates_for(None, elsewhere)) == {End.SUCCEEDED: 8}
     assert rates_for(tmp_path / "domain.pddl", None) == rates
+
+
+def test_plans_are_measured_by_the_rates_beside_the_domain(tmp_path: Path) -> None:
+    files = [tmp_path / name for name in ("domain.pddl", "problem1.pddl")]
+    for file in files:
+        file.write_bytes((ROOT / "domains" / "household" / file.name).read_bytes())
+    command = ["plan", *map(str, files), "--improve", "0"]
+    assert "expected" not in CliRunner().invoke(app, command).output
+    elsewhere = tmp_path / "elsewhere.yaml"
+    for file, seconds in ((tmp_path / "rates.yaml", 6), (elsewhere, 600)):
+        file.write_text(f"servers: {{s: {{'navigate(robot)': {{ends: {{succeeded: 9}}, took: {9 * seconds} = 9*{seconds}}}}}}}")
+    short, long = (CliRunner().invoke(app, [*command, *more]).output for more in ([], ["--rates", str(elsewhere)]))
+    found = [re.search(r"([\d.]+) s expected", output) for output in (short, long)]
+    assert [match is not None and float(match[1]) > 100 for match in found] == [False, True]
+    assert "there is no such file" in CliRunner().invoke(app, [*command, "--rates", str(tmp_path / "none.yaml")]).output
 
 
 @on_a_loop

@@ -6,6 +6,7 @@ import pytest
 
 from planner_bridge.model.plan import Plan, PlanStep
 from planner_bridge.model.problem import Problem
+from planner_bridge.model.rates import NO_RATES, Call, Counts, End, Rates as LearnedRates
 from planner_bridge.ordering.robot_time import Rates, priced, robot_time
 from planner_bridge.pddl import parse_domain, parse_problem
 from planner_bridge.planning.solve import solve
@@ -72,6 +73,44 @@ def test_a_metric_of_the_problem_counts_and_not_the_seconds() -> None:
     plan = solve(problem, bindings=Bindings({"walk": Binding(seconds=60.0)})).plan
     assert plan is not None
     assert [step.action for step in plan.steps] == ["walk"]
+
+
+def learned_of(**attempts: tuple[float, int, int]) -> LearnedRates:
+    """Rates of actions without arguments: the seconds of an attempt, how many have succeeded, how many have not."""
+    counted = [
+        (Call(name, name), Counts.of(end, seconds))
+        for name, (seconds, *times) in attempts.items()
+        for end, many in zip((End.SUCCEEDED, End.ABORTED), times, strict=True)
+        for _ in range(many)
+    ]
+    return NO_RATES.grown("journal", 1, counted)
+
+
+@pytest.mark.parametrize(
+    ("walk", "drives", "chosen"),
+    [
+        ((60.0, 30, 0), (5.0, 30, 0), ["drive_out", "drive_in"]),
+        ((6.0, 30, 0), (5.0, 30, 0), ["walk"]),
+        ((6.0, 10, 30), (5.0, 30, 0), ["drive_out", "drive_in"]),  # a walk takes four attempts
+    ],
+)
+def test_plans_are_measured_by_what_was_learned(walk: tuple[float, int, int], drives: tuple[float, int, int], chosen: list[str]) -> None:
+    plan = solve(ways(), learned=learned_of(walk=walk, drive_out=drives, drive_in=drives)).plan
+    assert plan is not None
+    assert [step.action for step in plan.steps] == chosen
+    if chosen != ["walk"]:
+        assert plan.seconds == pytest.approx(10.0, rel=0.01), "all but the assumption that one of ten attempts fails is learned"
+
+
+def test_each_call_takes_as_long_as_it_took() -> None:
+    problem, move = rooms(goal="(at r1 c)", init="(at r1 a)"), Call("move", "move")
+    counted = [
+        (move._replace(arguments=("r1", here, there)), Counts.of(End.SUCCEEDED, seconds))
+        for here, there, seconds in (("a", "b", 3.0), ("b", "c", 8.0))
+        for _ in range(1000)
+    ]
+    rates = Rates(learned=NO_RATES.grown("journal", 1, counted))
+    assert robot_time(problem, plan_of("move r1 a b", "move r1 b c"), rates) == pytest.approx(11.0, rel=0.001)
 
 
 def test_seconds_are_not_negative() -> None:
