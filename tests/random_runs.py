@@ -1,11 +1,11 @@
-"""Long random runs: scenarios of many tasks, runs that are held, processes that die, broken machines, the reference, visitors.
+"""Long random runs: scenarios of many tasks, runs that are held, processes that die, broken machines, the reference, values, visitors.
 
 usage: python -m tests.random_runs [--seeds 500] [--first 0] [--jobs 2] [--keep FOLDER] [KIND ...]
 
-Kinds are scenarios, holds, deaths, mutants, forgotten, reference and visitors. The same number is the same run. Without a kind, all are
-run: as many scenarios, holds, deaths and machines as there are seeds, six mutants of every machine, all of them without each trait of
-calls that templates could forget, as many machines held against the reference, and a visitor for every tenth. The exit status is 1 if
-anything is wrong; every failure is printed with its number.
+Kinds are scenarios, holds, deaths, mutants, forgotten, reference, values and visitors. The same number is the same run. Without a
+kind, all are run: as many scenarios, holds, deaths and machines as there are seeds, six mutants of every machine, all of them without
+each trait of calls that templates could forget, as many machines held against the reference, and as many against runs that are made
+from their values, and a visitor for every tenth. The exit status is 1 if anything is wrong; every failure is printed with its number.
 """
 
 from __future__ import annotations
@@ -26,14 +26,14 @@ from pathlib import Path
 
 from tests.support.e2e.mall.deployment import Mall
 from tests.support.processes import ros_domain
-from tests.support.runs.held_run import hold_against_reference
+from tests.support.runs.held_run import hold_against_reference, hold_against_values
 from tests.support.runs.mutation.forgotten import TRAITS, run_forgotten
 from tests.support.runs.mutation.gate import run_gate
 from tests.support.tasks.scenarios.random_deaths import run_deaths
 from tests.support.tasks.scenarios.random_holds import run_holds
 from tests.support.tasks.scenarios.random_scenarios import run_scenario
 
-KINDS = ("scenarios", "holds", "deaths", "mutants", "forgotten", "reference", "visitors")
+KINDS = ("scenarios", "holds", "deaths", "mutants", "forgotten", "reference", "values", "visitors")
 TOO_LONG = 600
 
 
@@ -49,6 +49,8 @@ def failure_of(kind: str, number: int) -> str:
                 run_holds(number)
             case "reference":
                 hold_against_reference(number)
+            case "values":
+                hold_against_values(number)
             case _:
                 with tempfile.TemporaryDirectory() as folder:
                     run_deaths(number, Path(folder))
@@ -108,7 +110,7 @@ def visitors(numbers: range, keep: Path | None) -> Iterator[str]:
 
 def failures_of(kind: str, numbers: range, jobs: int, keep: Path | None) -> Iterator[str]:
     match kind:
-        case "scenarios" | "holds" | "deaths" | "reference":
+        case "scenarios" | "holds" | "deaths" | "reference" | "values":
             return scenarios(kind, numbers, jobs)
         case "mutants":
             return mutants(numbers, jobs)
@@ -126,7 +128,7 @@ def main() -> int:
         nargs="*",
         choices=[*KINDS, []],
         metavar="KIND",
-        help="scenarios, holds, deaths, mutants, forgotten, reference or visitors; all without one",
+        help="scenarios, holds, deaths, mutants, forgotten, reference, values or visitors; all without one",
     )
     parser.add_argument("--seeds", type=int, default=500, help="how many of each; visitors are a tenth if not alone")
     parser.add_argument("--first", type=int, default=0, help="the number of the first one")

@@ -20,7 +20,7 @@ from planner_bridge.model.progression import snapshot
 from planner_bridge.tasks.replanning import Decision, decision_words
 from planner_bridge.tasks.result import TASKS, GoalNote, TaskCounts
 from pnm.clock import TimeUsed
-from pnm.core.execution.call_results import CallResult, Explanation, Hindered, Sent, action_with, sent_with
+from pnm.core.execution.call_results import Became, CallResult, Explanation, Hindered, Sent, action_with, sent_with
 from pnm.core.execution.events import Begin
 from pnm.core.knowledge_base import KnowledgeBase
 from pnm.core.machine.plan_graph import ActionCall, GroundAction, Moment, PlanEvent, Step
@@ -36,7 +36,7 @@ from pnm.journal.store import KeptJournal
 from pnm.knowledge.people import HelpAsked, HelpEnded
 from pnm.tasks import TaskEnding, TaskState
 
-_FREES: Final = (records.Happened, records.EndConfirmed, records.RunRetired, records.RunSucceeded)
+_FREES: Final = (records.Happened, records.EndConfirmed, records.RunRetired, records.RunSucceeded, records.ClaimsBegan)
 """Records with which resources are given, or given back."""
 
 
@@ -109,7 +109,7 @@ class RunHistory:
     """The history of a run. The history of its journal alone changes it.
 
     Args:
-        record: with which it was made.
+        record: with which it was made; 0 if that is not known any more.
         state: the facts when it was made.
         executed: executes what has not been executed yet, and returns the run.
     """
@@ -227,6 +227,8 @@ class TaskHistory:
     accepted: records.TaskAccepted
     time: float
     runs: list[RunHistory]
+    record: int
+    """With which it was accepted; 0 if that is not known any more."""
     is_told: bool = True
     """Whether the records are there that tell how it went; else only how it has ended."""
     state: TaskState = TaskState.QUEUED
@@ -266,6 +268,14 @@ class TaskHistory:
         return TaskCounts(self.plans, max(0, len(own) - 1), requests, failures, has_run=bool(own))
 
 
+class SegmentStart(NamedTuple):
+    """The beginning of a segment: its first record, its time, and where the oldest began of what goes on then."""
+
+    number: int
+    time: float
+    since: int
+
+
 class JournalHistory:
     """The history of a journal so far. Everything in it is mutable state; `apply` is the only thing that changes it.
 
@@ -290,8 +300,12 @@ class JournalHistory:
         """The beginning of the world, which may be in an earlier segment."""
         self.number = 0
         self.time = 0.0
-        self.segments: list[tuple[int, float]] = []
-        """The first record, and the time, of the segments that it reaches back to."""
+        self.segments: list[SegmentStart] = []
+        """The beginnings of the segments that it reaches back to."""
+        self._again = 0
+        """How many of the next records say again what is so."""
+        self._known: frozenset[UUID] = frozenset()
+        """The tasks of which it is known already."""
         self.tasks: dict[UUID, TaskHistory] = {}
         self.runs: dict[UUID, RunHistory] = {}
         self.attempts: dict[UUID, Attempt] = {}
@@ -317,12 +331,12 @@ class JournalHistory:
     @property
     def first(self) -> int:
         """The first record that it reaches back to."""
-        return self.segments[0][0] if self.segments else 0
+        return self.segments[0].number if self.segments else 0
 
     @property
     def began(self) -> float:
         """Its time."""
-        return self.segments[0][1] if self.segments else 0.0
+        return self.segments[0].time if self.segments else 0.0
 
     def execute(self) -> ReplayStep | None:
         """Execute the runs as far as that is not done, and return the last record as it was executed; raises as `steps_after` does."""
@@ -333,9 +347,11 @@ class JournalHistory:
                     self._step = self._replay.apply(number, time, record)
                     if isinstance(record, records.SharedBegan):
                         self._replay.forget()
-                        self._held, self._holding = {}, set()
-                    elif isinstance(record, records.RunMade):
-                        self._executed[record.run] = self._replay.runs[record.run]
+                        self._held = {id: self._held[id] for id in self._holding} if record.again else {}
+                        self._holding &= self._held.keys()
+                    elif isinstance(record, records.RunMade | records.RunStands):
+                        made = record if isinstance(record, records.RunMade) else record.made
+                        self._executed[made.run] = self._replay.runs[made.run]
                     elif isinstance(record, _FREES):
                         now = {claim.request: claim for claim in self._replay.resources.held}
                         for request in self._holding - now.keys():
@@ -376,18 +392,30 @@ class JournalHistory:
 
     def _note(self, time: float, record: records.Record) -> None:
         begins, self._begins = self._begins, False
+        is_again, self._again = self._again > 0, max(0, self._again - 1)
         match record:
             case records.Happened():
                 self._note_event(self.runs[record.run], time, record)
-            case records.SharedBegan(began=began):
-                self.world_began = began
-                self._begin_segment()
+            case records.SharedBegan(began=began, again=again, since=since):
+                self.world_began, self._again = began, again
+                self._begin_segment(since or self.number)
+            case records.RunStands(made, state, results):
+                self._source_of(made)  # for who executes it
+                if made.run not in self.runs:  # else it is said again
+                    self._note_run(made, time)
+                    run = self.runs[made.run]
+                    run.record = 0  # which is too far back
+                    run.begun, run.origin = state["state"]["has_begun"], state["state"]["origin"]
+                    if results is not None:
+                        self._note_results(run, results)
+            case records.TaskEntered(id) | records.TaskNoted(id) | records.TimeCounted(id) if is_again and id in self._known:
+                pass
             case records.KnowledgeBegan(base) if base == records.WORLD:
                 self.world, self._begins = records.base_of(record), begins
             case records.KnowledgeDelta(base) if base == records.WORLD:
                 records.change(self.world, record)
             case records.RunMade():
-                self._note_run(record)
+                self._note_run(record, self.time)
             case records.RunSucceeded(run, successor, results):
                 self._note_results(self.runs[run], results)
                 for call, taken in self.runs[successor].made.adopted.items():  # requests that pass to it
@@ -398,9 +426,11 @@ class JournalHistory:
             case records.TaskAccepted(wanted):
                 self._begins, known = begins, self.tasks.get(wanted.id)
                 if known is None or known.accepted != record:  # else it is said again
-                    since = self.segments[-1][0]
-                    made = [run for run in self.runs.values() if run.made.task == wanted.id and run.record >= since]  # of a plan, before it
-                    self.tasks[wanted.id] = TaskHistory(record, self.time, made)
+                    since = self.segments[-1].number
+                    runs = [run for run in self.runs.values() if run.made.task == wanted.id]  # of a plan, before it is accepted
+                    runs = [run for run in runs if run.record >= since or run.results is None]
+                    number = 0 if is_again else self.number
+                    self.tasks[wanted.id] = TaskHistory(record, time if is_again else self.time, runs, number)
             case records.TaskHeld():
                 self._begins = begins
             case records.TaskEntered(id, state, reason) if id in self.tasks:
@@ -412,27 +442,28 @@ class JournalHistory:
             case records.TaskOver(id, ending):
                 self._begins, task = begins, self.tasks[id]
                 if task.ended is None:  # else it is said again
-                    task.is_told = not begins or self.segments[-1][0] == 1
+                    task.is_told = not begins or self.segments[-1].number == 1
                     task.ending, task.ended, task.state, task.reason = ending, self.time, TaskState.OVER, ending.message
                     for own in task.runs:
                         own.follow(f"its task is over: {ending.code.word}")
             case _:
                 pass
 
-    def _begin_segment(self) -> None:
-        """Forget what is too far back. Nothing is under way now, and the tasks that have just ended are said again."""
-        self.segments.append((self.number, self.time))
-        if self._reach is not None:
-            del self.segments[: -self._reach]
+    def _begin_segment(self, since: int) -> None:
+        """Forget what is too far back: what went on in the segments that it reaches back to is known from its beginning."""
+        self.segments.append(SegmentStart(self.number, self.time, since))
         self._begins = True
-        self.attempts = {id: attempt for id, attempt in self.attempts.items() if attempt.record >= self.first}
-        self.runs = {id: run for id, run in self.runs.items() if run.record >= self.first}
-        for task in self.tasks.values():
-            task.runs = [run for run in task.runs if run.record >= self.first]
         if self._reach is not None:
-            self._sources.clear()
+            first, before = self.segments[-self._reach :][0].since, self.tasks
+            self.segments = [one for one in self.segments if one.number >= first]
+            whole = ((id, task) for id, task in before.items() if task.record >= self.first)
+            self.tasks = {id: task for id, task in whole if task.runs or task.ended is None}
+            kept = self.tasks.keys() | {run.made.task for run in self.runs.values() if run.record >= self.first} - before.keys()
+            self.runs = {id: run for id, run in self.runs.items() if run.made.task in kept}
+            self.attempts = {id: attempt for id, attempt in self.attempts.items() if attempt.sender in self.runs}
             self._executed = {id: run for id, run in self._executed.items() if id in self.runs}
-            self.tasks = {id: task for id, task in self.tasks.items() if task.runs}
+            self._sources.clear()
+        self._known = frozenset(self.tasks)
 
     def _note_task(self, task: TaskHistory, note: object) -> None:
         match note:
@@ -451,16 +482,20 @@ class JournalHistory:
             case _:
                 pass
 
-    def _note_run(self, made: records.RunMade) -> None:
+    def _source_of(self, made: records.RunMade) -> records.MachineSource:
         if (source := self._sources.get(made.machine)) is None:
             assert self._source is not None, "a history reads machines where it reads records"
             source = self._sources[made.machine] = self._source(made.machine)
+        return source
+
+    def _note_run(self, made: records.RunMade, time: float) -> None:
+        source = self._source_of(made)
 
         def executed() -> ReplayedRun:
             self.execute()
             return self._executed[made.run]
 
-        run = self.runs[made.run] = RunHistory(self.number, self.time, made, source, snapshot(self.world), executed, origin=made.origin)
+        run = self.runs[made.run] = RunHistory(self.number, time, made, source, snapshot(self.world), executed, origin=made.origin)
         if (task := self.tasks.get(made.task)) is None:
             return
         task.runs = [one for one in task.runs if not one.made.gives_way(made, has_begun=one.begun)]
@@ -474,7 +509,7 @@ class JournalHistory:
                 before.follow(run.replan.why)
             task.decision = None
 
-    def _note_results(self, run: RunHistory, results: Iterable[records.Became]) -> None:
+    def _note_results(self, run: RunHistory, results: Iterable[Became]) -> None:
         run.results = {one.call: one.of(run.source.plan) for one in results}
 
     def _note_event(self, run: RunHistory, time: float, record: records.Happened) -> None:

@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from itertools import zip_longest
 from math import isfinite
-from typing import Any, Final, Literal, TypeAlias, TypeVar
+from typing import Any, ClassVar, Final, Literal, TypeAlias, TypeVar
 
 from planner_bridge.model import forbidden_actions
 from planner_bridge.model.plan import PlanningStatus
@@ -150,6 +150,7 @@ class TaskResult:
     def counts(self) -> TaskCounts:
         """Counts of events."""
         requests = sum(call.attempts for call in self.calls if call.call.action.operation is None)
+        requests += sum(episode.result.earlier.requests for episode in self.episodes)
         return TaskCounts(self.plans, self.replans, requests, len(self.failures), has_run=bool(self.episodes))
 
     def as_json(self) -> dict[str, Any]:
@@ -334,6 +335,8 @@ class TrajectoryNote:
         violations: of those that are violated, by their position.
     """
 
+    is_whole: ClassVar = True
+    """The last one says all."""
     began: float
     progress: tuple[ConstraintProgress, ...] = ()
     violations: Mapping[int, Violation] = field(default_factory=dict)

@@ -234,8 +234,9 @@ class Task(TaskObserver):
         decided = [note.decision for note in notes if note.decision]
         self.replanned = f"replanned in another process: {decision_words(decided[-1])}" if decided else ""
         self.plans = max((note.plans for note in notes), default=0)
-        results = (replayed.result or replayed.run.interim_result() for replayed in kept.runs)
+        results = [replayed.result or replayed.run.interim_result() for replayed in kept.runs]
         self.ended_calls = sum(call.attempts - call.is_under_way for result in results for call in result.calls)
+        self.ended_calls += sum(result.earlier.attempts for result in results)
         if kept.ending is not None:
             self.ending = kept.ending
             self.control.conclude(kept.ending.message)

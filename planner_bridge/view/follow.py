@@ -21,6 +21,7 @@ from planner_bridge.view.story import Story, View, view_of
 from pnm.errors import PnmError
 from pnm.files.database.place import Place
 from pnm.journal.kept import Rewritten
+from pnm.journal.records import SharedBegan
 from pnm.journal.resume import steps_after
 from pnm.journal.store import KeptJournal, Seen
 
@@ -96,12 +97,16 @@ class Reader:
             self._replay(kept, number)
 
     def _begin(self, kept: KeptJournal, number: float) -> None:
-        """Begin a story that reaches back to the beginning of the segment before that of a record."""
+        """Begin a story that reaches back to the segment before that of a record, and to the beginnings of the tasks that went on there."""
         segments = kept.segments()
-        before = max(0, bisect_right(segments, number) - 2)
         self._stuck = None
         self._story = Story(lambda key: TASKS.value(kept.part(key)))
-        self._story.number = segments[before] - 1 if segments else 0
+        if segments:
+            before, since = segments[max(0, bisect_right(segments, number) - 2)], 0
+            with suppress(PnmError):  # which whoever replays it raises with its place
+                began = next((TASKS.value(row.text) for _, row in kept.rows(before - 1)), None)
+                since = began.since if isinstance(began, SharedBegan) else 0
+            self._story.number = (since or before) - 1
 
     def _replay(self, kept: KeptJournal, number: float) -> None:
         assert self._story is not None

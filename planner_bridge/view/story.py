@@ -135,13 +135,13 @@ class Story(JournalHistory):
         match step.record:
             case records.SharedBegan():
                 self.events = {number: event for number, event in self.events.items() if number >= self.first}
-                self._questions, self._shown = {}, {}
+                self._questions, self._shown = self._questions if step.record.again else {}, {}
             case records.KnowledgeBegan(base, facts) if base == records.WORLD:
                 self.facts = {fluent_text(fluent): self._fact(fluent, value, is_initial=True) for fluent, value in facts.items()}
             case records.KnowledgeDelta():
                 self._tell_facts(step.record)
             case records.TaskAccepted(wall=wall):
-                self.clock = wall - self.time
+                self.clock = wall - step.time
             case records.Happened(run, event, deltas=deltas):
                 for delta in deltas:
                     self._tell_facts(delta)

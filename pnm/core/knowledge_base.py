@@ -242,6 +242,10 @@ class KnowledgeBase(RecordedState):
         known = changes - self._forgotten
         return None if known < 0 else self._changed[known:]
 
+    def go_on_from(self, changes: int, last: Sequence[Fluent]) -> None:
+        """Count changes from there on, and remember which were the last: nothing has changed here yet."""
+        self._changed, self._forgotten = list(last), changes - len(last)
+
     def _forget_changes(self, count: int | None = None) -> None:
         """Forget the oldest changes; or all, with one more that may be of anything."""
         self._forgotten += len(self._changed) + 1 if count is None else count

@@ -19,9 +19,10 @@ from collections.abc import Callable, Collection, Hashable, Iterable, Iterator, 
 from dataclasses import dataclass
 from math import inf
 from operator import itemgetter
-from typing import Final, Generic, TypeAlias, TypeVar
+from typing import Any, Final, Generic, TypeAlias, TypeVar
 from uuid import UUID
 
+from pnm.core.kept_state import KeptState
 from pnm.errors import PnmError, RunError, counted
 
 Place = TypeVar("Place", bound=Hashable)
@@ -52,7 +53,7 @@ class Claim:
     names: tuple[str, ...]
 
 
-class Resources:
+class Resources(KeptState):
     """Resources with their capacities, the requests that hold some, and the queue of those that wait.
 
     Args:
@@ -63,6 +64,8 @@ class Resources:
     Raises:
         CapacityError: a resource is for no request at all.
     """
+
+    KEPT = ("_held", "_withheld", "_line", "_told", "_joined")
 
     def __init__(self, capacities: Mapping[str, int] = _ONE_EACH) -> None:
         self._capacities = dict(capacities)
@@ -84,6 +87,15 @@ class Resources:
         """The number of claims so far."""
         self._listeners: defaultdict[UUID | None, list[Callable[[], None]]] = defaultdict(list)
         """By task, those that listen to its claims; None for all."""
+
+    def restore(self, values: Mapping[str, Any]) -> None:
+        """Take a state back, where nothing is claimed yet."""
+        super().restore(values)
+        for claim in self.held:
+            self._hold(claim)
+        for rank, claim in self._line.values():
+            for name in claim.names:
+                insort(self._lines.setdefault(name, []), rank)
 
     @property
     def held(self) -> tuple[Claim, ...]:
@@ -301,7 +313,7 @@ def who_keeps(withheld: Mapping[str, str]) -> str:
     return "; ".join(f"{name} is kept by {by}, which has not confirmed that it is over" for name, by in withheld.items())
 
 
-class RunClaims(Generic[Place]):
+class RunClaims(KeptState, Generic[Place]):
     """The claims of one run to resources that it shares with others; its places are known by number or by name.
 
     Args:
@@ -311,6 +323,8 @@ class RunClaims(Generic[Place]):
 
     The mutable state is what the constructor sets under "state".
     """
+
+    KEPT = ("waiting", "_places", "_had")
 
     def __init__(self, resources: Resources, task: UUID, priority: int) -> None:
         self.resources = resources

@@ -21,7 +21,7 @@ from typing import Any, Final, NamedTuple
 from uuid import UUID
 
 from pnm import clock, errors, tasks
-from pnm.core import message_fields
+from pnm.core import message_fields, resources
 from pnm.core.execution import call_data, call_results, events, handover
 from pnm.core.logic import computed_values, conditions, effects, expressions, rules
 from pnm.core.logic.computed_values import MISSING
@@ -283,7 +283,7 @@ _NONE_SUCH: Final = object()
 
 RECORDS: Final = Codec(
     value_classes(
-        *(clock, errors, message_fields, computed_values, conditions, effects, expressions, rules),
+        *(clock, errors, message_fields, resources, computed_values, conditions, effects, expressions, rules),
         *(bindings, failure_causes, machine, plan_graph, requests, call_data, call_results, events, handover, tasks, records),
     )
 )

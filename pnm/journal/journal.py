@@ -22,14 +22,15 @@ from pnm.core.knowledge_base import KnowledgeBase, Layered
 from pnm.core.machine.bindings import Bindings
 from pnm.core.machine.machine import PetriNetMachine
 from pnm.core.machine.plan_graph import GroundAction
+from pnm.core.machine.requests import Request
 from pnm.core.resources import Resources
 from pnm.journal import records
-from pnm.journal.codec import Codec
+from pnm.journal.codec import Codec, Undecodable
 from pnm.journal.kept import DAY, KEPT, LISTED, UNSHARED, Fenced, Hold, JournalError, Row, StandBys, TaskRow, log_end
 from pnm.journal.records import SharedBegan
 from pnm.journal.replay import Replay, ReplayedRun
 from pnm.journal.store import JournalFile
-from pnm.tasks import REMEMBERED, TaskEnding, TaskState, Wanted
+from pnm.tasks import TaskEnding, TaskState, Wanted
 
 Perform: TypeAlias = Callable[[Sequence[Command]], None]
 """Carries out commands."""
@@ -149,6 +150,10 @@ _OFTEN: Final = 1 / 7
 """The part of the time for which records are kept after which it is looked what is old, at least once a day."""
 _LONG: Final = 1000
 """Records of a segment after which another one begins as soon as nothing is under way."""
+_LONGER: Final = 1000
+"""Records after which another one begins while tasks go on."""
+_SHARE: Final = 4
+"""How much longer a segment is then than what it began with: what is said again is a part of what is written."""
 
 _log = logging.getLogger(__name__)
 
@@ -190,7 +195,7 @@ class WrittenJournal(Journal):
         # state
         self._rows: list[Row] = []
         """Records that are not kept yet."""
-        self._parts: dict[str, str] = {}
+        self._parts: dict[str, str | None] = {}
         self._known_parts: set[str] = set()
         self._waiting: deque[tuple[Perform, tuple[Command, ...]]] = deque()
         """Everybody who waits for these records to be kept."""
@@ -217,17 +222,25 @@ class WrittenJournal(Journal):
         """The beginning of the segment, and its records."""
         self._segment_wall = file.segment_wall
         """The time of day when it has."""
-        self._fresh = 0
-        """The records with which it has begun, as far as that is known."""
+        self._fresh = 1 + told.shared.again if told.shared else 0
+        """The records with which it has begun."""
         self._dropped = -inf
         """The time of day when old records were dropped."""
-        self._is_held = told.is_held
+        self._ongoing = told.ongoing
+        self._live = {id: replayed.run for id, replayed in told.runs.items()}
+        """The runs that are said again."""
+        self._requests = dict(told.requests)
+        """What was sent, as far as it may be under way."""
+        self._is_looked_at = False
+        """Whether it is about to be looked whether a segment begins."""
+        self._written = 0
+        """The characters of the segment."""
+        self._beginning = 0
+        """Those of its beginning."""
         self._unfinished = {task.accepted.wanted.id: (task.accepted, task.time) for task in told.unfinished}
         """The tasks that are not over, with the times when they were accepted."""
         self._runs = Counter({id: sum(one.run.begun and one.made.caller is None for one in task.runs) for id, task in told.tasks.items()})
         """The machines that each task has had, one after the other."""
-        over = ((task.accepted, records.TaskOver(id, task.ending)) for id, task in told.tasks.items() if task.ending)
-        self._recent = deque(over, REMEMBERED)
         self._number_of = {id(base): number for number, base in self._bases.items()}
         for number, base in self._bases.items():
             records.follow(number, base, self._changed)
@@ -240,7 +253,7 @@ class WrittenJournal(Journal):
         self._is_replaced = True
         anew()
         self._is_replaced = False
-        self._resources = resources
+        self._resources, self._ongoing = resources, self._ongoing.in_another_world()
         self._shared = replace(began or SharedBegan(resources.capacities), began=self._loop.time())
         self._begin_segment(knowledge, self._shared)
 
@@ -250,7 +263,7 @@ class WrittenJournal(Journal):
         """Return a run, and record what it was made from."""
         asks, adopted = options.get("asks", False), options.get("adopted", {})
         options["goal_fields"], options["tells"] = self._remembering(options["goal_fields"]), True
-        run = super().make_run(machine, knowledge, **options)
+        run = self._live[options["id"]] = super().make_run(machine, knowledge, **options)
         text = self._codec.text(records.MachineSource(machine.plan, options["bindings"], machine.on_failure, machine.capacities))
         source = hashlib.sha256(text.encode()).hexdigest()
         if source not in self._known_parts:  # several records may name it
@@ -277,6 +290,8 @@ class WrittenJournal(Journal):
         deltas, news, self._deltas, self._news = self._deltas, self._news, [], {}
         self._record(records.Happened(run.id, event, news, run.fired, tuple(deltas), records.intents_of(commands), run.told), now)
         self._waiting.append((perform, tuple(commands)))
+        sent = (command.request for command in commands if isinstance(command, Send))
+        self._requests |= {request.id: Request(request.id, request.action, {}) for request in sent}
         # What is only heard, and leads to nothing outside, is committed with what comes next, or a moment later: if it were lost
         # before that, it would be heard again, as if it had come after the death of this process.
         leads_outside = any(type(command) is not Wake for command in commands)
@@ -294,20 +309,15 @@ class WrittenJournal(Journal):
         self._write(looks=True)
         if self.blocked:
             del self._rows[-1]  # it is refused, and must not come up when the journal can be written again
+            self._ongoing.forget(wanted.id)
             raise JournalError(self.blocked)
         self._unfinished[wanted.id] = task, self._loop.time()
 
-    def held(self, task: UUID | None, *, is_held: bool) -> None:
-        """Record that an operator has paused a task, or those that are still to come, or has let them go on."""
-        self._is_held = is_held if task is None else self._is_held
-        super().held(task, is_held=is_held)
-
     def over(self, task: UUID, ending: TaskEnding, then: Callable[[], None] = lambda: None) -> None:
-        """Keep how a task has ended, and do something then. A segment begins, if nothing else is under way and this one is long."""
-        (accepted, began), over = self._unfinished.pop(task), records.TaskOver(task, ending)
+        """Keep how a task has ended, and do something then. A segment begins if this one is long."""
+        accepted, began = self._unfinished.pop(task)
         summary = records.TaskSummary(accepted, self._runs.pop(task, 0), ending, self._wall(), self._loop.time() - began)
-        self._record(over, task=self._task_row(summary))
-        self._recent.append((accepted, over))
+        self._record(records.TaskOver(task, ending), task=self._task_row(summary))
         if self._is_lost:  # another process keeps it
             then()
             return
@@ -328,29 +338,48 @@ class WrittenJournal(Journal):
         """Begin a segment, with all that is to be known without those before it; and drop what is old."""
         if self._bases.get(records.WORLD) is not world:
             records.follow(records.WORLD, world, self._changed)
-        self._bases, self._number_of = {records.WORLD: world}, {id(world): records.WORLD}
+        ongoing, now, wall = self._ongoing, self._loop.time(), self._wall()
+        self._live = {id: run for id, run in self._live.items() if id in ongoing.runs}
+        locals = {id(run.knowledge.local) for run in self._live.values()}
+        self._bases = {records.WORLD: world} | {number: base for number, base in self._bases.items() if id(base) in locals}
+        self._number_of = {id(base): number for number, base in self._bases.items()}
+        open_requests = {request for run in self._live.values() for request in run.open_requests}.union(self._resources.given_up)
+        self._requests = {id: request for id, request in self._requests.items() if id in open_requests}
+        claims = records.ClaimsBegan(self._resources.values(), tuple(self._requests.values()))
+        again = [*ongoing.again(now, self._bases, claims, self._live)]
+        texts = [(said, self._codec.text(record)) for said, record in again]  # before anything is begun: it may have no text
         self._fields.clear()
-        self._known_parts.clear()
-        self._runs.clear()
-        self._segment_began, self._length = self._loop.time(), 0
-        self._record(shared, begins=self._wall())
-        self._segment_wall = self._wall()
-        self._record(records.knowledge_now(records.WORLD, world))
-        if self._is_held:
-            self._record(records.TaskHeld(None, is_held=True))
-        for accepted, over in self._recent:
-            self._record(accepted)
-            self._record(over)
-        self._fresh = self._length
+        self._known_parts = {record.made.machine for _, record in again if isinstance(record, records.RunStands)}
+        self._parts |= dict.fromkeys(self._known_parts)  # which are kept already
+        self._runs = Counter({task: self._runs[task] for task in self._unfinished})
+        self._segment_began, self._segment_wall, self._length, self._written = now, wall, 0, 0
+        began = replace(shared, again=len(texts), since=ongoing.since if ongoing else 0)
+        self._keep(now, self._codec.text(began), begins=wall)
+        for said, text in texts:
+            self._keep(said, text)
+        self._fresh, self._beginning = self._length, self._written
         self._write()
+        ongoing.segment = self._file.segment
         self._drop()
 
     def _begin_segment_if_due(self) -> None:
-        """Begin a segment if nothing is under way, and this one is long, or has records that are old enough to be dropped some day."""
+        """Begin a segment if this one is long, the longer the more goes on; or has records that are old enough to be dropped some day."""
+        self._is_looked_at = False
+        if not self._shared or self._handling or self.blocked or self._is_lost or self._is_closed:
+            return
+        goes_on, length = bool(self._unfinished or self._resources.held or self._ongoing), self._length - self._fresh
         age = max(self._loop.time() - self._segment_began, self._wall() - self._segment_wall)
-        is_due = self._length >= _LONG or (age >= self._period and self._length > self._fresh)
-        if is_due and self._shared and not (self._unfinished or self._resources.held or self.blocked):
+        is_long = length >= _LONGER and self._written > (1 + _SHARE) * self._beginning if goes_on else self._length >= _LONG
+        if not (is_long or (age >= self._period and length > 0)):
+            return
+        self._write()  # what has happened is behind this segment
+        if self.blocked or self._waiting or self._is_lost:
+            return
+        try:
             self._begin_segment(self._bases[records.WORLD], self._shared)
+        except Undecodable as error:  # of the goal of a request, which is kept nowhere else
+            _log.warning("no segment of the journal begins while this goes on: %s", error)
+            self._fresh = self._length
 
     def _drop(self) -> None:
         self._dropped = self._wall()
@@ -396,13 +425,22 @@ class WrittenJournal(Journal):
 
     # --- writing ----------------------------------------------------------------------------------
 
-    def _record(self, record: records.Record, now: float | None = None, begins: float | None = None, task: TaskRow | None = None) -> None:
+    def _record(self, record: records.Record, now: float | None = None, task: TaskRow | None = None) -> None:
         """Note a record; it is written with the next event, or a moment later. What is heard after the end is another process's to keep."""
         is_late = isinstance(record, records.TaskEntered | records.TaskNoted) and record.task not in self._unfinished
         if self._is_closed or is_late:
             return
-        self._rows.append(Row(self._loop.time() if now is None else now, self._codec.text(record), begins, task))
+        now = self._loop.time() if now is None else now
+        self._keep(now, self._codec.text(record), task=task)
+        self._ongoing.note(now, record)
+        if self._length - self._fresh >= _LONGER and not self._is_looked_at:
+            self._is_looked_at = True
+            self._loop.call_soon(self._begin_segment_if_due)  # between two events of all runs
+
+    def _keep(self, now: float, text: str, begins: float | None = None, task: TaskRow | None = None) -> None:
+        self._rows.append(Row(now, text, begins, task))
         self._length += 1
+        self._written += len(text)
         if self._due is None:
             self._due = self._loop.call_soon(self._write)
 

@@ -9,11 +9,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
-from typing import Final, TypeAlias
+from typing import Any, Final, TypeAlias
 from uuid import UUID
 
 from pnm.clock import TimeUsed
-from pnm.core.execution.call_results import CallResult, RunResult, Told, own_arguments, sent_with
+from pnm.core.execution.call_results import Became, RunResult, Told
 from pnm.core.execution.events import Command, Event, KnowledgeChanged, ResourcesChanged, Send, Store, Tick
 from pnm.core.execution.handover import UnderWay
 from pnm.core.knowledge_base import KnowledgeBase
@@ -21,10 +21,9 @@ from pnm.core.logic.effects import Changes
 from pnm.core.logic.expressions import Fluent, Unknown, Value
 from pnm.core.logic.rules import NO_RULES, Rules
 from pnm.core.machine.bindings import Bindings
-from pnm.core.machine.failure_causes import Cause
 from pnm.core.machine.machine import OnFailure
 from pnm.core.machine.plan_graph import PlanGraph
-from pnm.core.machine.requests import Accepted, CallOutcome, Ended, Feedback, Postponed
+from pnm.core.machine.requests import Accepted, CallOutcome, Ended, Feedback, Postponed, Request
 from pnm.tasks import TaskEnding, TaskState, Wanted
 
 WORLD: Final = 0
@@ -43,6 +42,8 @@ class SharedBegan:
         command: what the command line is given, in which folder first, so that another process goes on; empty if it is a node.
         seal: shows that this user has given the command on this computer; see `planner_bridge.cli.options.seal_of`.
         loaded: domain and problem, as PDDL, that were loaded in place of those of the files.
+        again: how many of the next records say what goes on: all that is to be known of it without the segments before.
+        since: the first record of the segment in which the oldest of that began; this one if nothing goes on, or that is not known.
     """
 
     capacities: Mapping[str, int]
@@ -52,6 +53,8 @@ class SharedBegan:
     command: tuple[str, ...] = ()
     seal: str = ""
     loaded: tuple[str, ...] = ()
+    again: int = 0
+    since: int = 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,6 +69,23 @@ class KnowledgeBegan:
     rules: Rules = NO_RULES
     unknown: Mapping[str, tuple[Fluent, ...]] = field(default_factory=dict)
     """For each reason that was given, the fluents that are unknown because of it."""
+    changes: int = 0
+    """How many changes there were before."""
+    changed: tuple[Fluent, ...] = ()
+    """The fluents that have changed last, as far as runs that go on ask for that."""
+
+
+@dataclass(frozen=True, slots=True)
+class ClaimsBegan:
+    """The claims to resources, as they are when a segment begins.
+
+    Args:
+        state: of the resources, as its `values` tell it.
+        requests: that have some, or wait for them, without their goals.
+    """
+
+    state: Mapping[str, object]
+    requests: tuple[Request, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -116,6 +136,21 @@ class RunMade:
 
 
 @dataclass(frozen=True, slots=True)
+class RunStands:
+    """A run of a task that is not over, as it is when a segment begins.
+
+    Args:
+        made: what it was made from.
+        state: as its `values` tell it.
+        results: of its calls, if it is not carried on any more; None if it goes on.
+    """
+
+    made: RunMade
+    state: Mapping[str, Any]
+    results: tuple[Became, ...] | None = None
+
+
+@dataclass(frozen=True, slots=True)
 class MachineSource:
     """The source of a machine."""
 
@@ -146,26 +181,6 @@ class Happened:
     deltas: tuple[KnowledgeDelta, ...] = ()
     intents: tuple[UUID, ...] = ()
     told: tuple[Told, ...] = ()
-
-
-@dataclass(frozen=True, slots=True)
-class Became:
-    """The result of a call when its run was over, or was succeeded: the number of the call, and what its plan does not say."""
-
-    call: int
-    kind: CallOutcome
-    attempts: int = 0
-    started: float | None = None
-    ended: float | None = None
-    assumed: bool = False
-    cause: Cause | None = None
-    arguments: tuple[str, ...] | None = None
-    """Those that it was sent with last; None if they are those of the plan."""
-
-    def of(self, plan: PlanGraph) -> CallResult:
-        """Return the result of the call of a plan."""
-        call = sent_with(plan.calls[self.call], self.arguments)
-        return CallResult(call, self.kind, self.attempts, self.started, self.ended, self.assumed, self.cause)
 
 
 @dataclass(frozen=True, slots=True)
@@ -270,19 +285,14 @@ class TaskSummary:
 def became(result: RunResult, plan: PlanGraph) -> tuple[Became, ...]:
     """Return the results of the calls of a run, the last time that each was reached."""
     last = {one.call.index: one for one in result.calls}
-    return tuple(
-        [
-            Became(call, one.kind, one.attempts, one.started, one.ended, one.assumed, one.cause, own_arguments(one.call, plan))
-            for call, one in sorted(last.items())
-            if one.kind is not CallOutcome.WAITING
-        ]
-    )
+    return tuple([Became.from_result(one, plan) for _, one in sorted(last.items()) if one.kind is not CallOutcome.WAITING])
 
 
 def base_of(began: KnowledgeBegan) -> KnowledgeBase:
     """Return a knowledge base as it began."""
     base = KnowledgeBase(began.facts, variables=began.variables, objects=began.objects, sensed=began.sensed, rules=began.rules)
     _forget(base, began.unknown)
+    base.go_on_from(began.changes, began.changed)
     return base
 
 
@@ -302,12 +312,15 @@ def _forget(base: KnowledgeBase, unknown: Mapping[str, tuple[Fluent, ...]]) -> N
         base.forget(fluents, why)
 
 
-def knowledge_now(number: int, base: KnowledgeBase) -> KnowledgeBegan:
-    """Return the content of a knowledge base now."""
+def knowledge_now(number: int, base: KnowledgeBase, since: int | None = None) -> KnowledgeBegan:
+    """Return the content of a knowledge base now, with what has changed since there were so many changes."""
+    changes = base.changes
+    changed = base.changed_since(changes if since is None else since)
     unknown: dict[str, tuple[Fluent, ...]] = {}
     for fluent, why in base.why_unknown().items():
         unknown[why] = (*unknown.get(why, ()), fluent)
-    return KnowledgeBegan(number, base.facts(), base.variables(), base.objects_by_type(), base.sensed_names(), base.rules, unknown)
+    facts, variables, objects, sensed = base.facts(), base.variables(), base.objects_by_type(), base.sensed_names()
+    return KnowledgeBegan(number, facts, variables, objects, sensed, base.rules, unknown, changes, tuple(changed or ()))
 
 
 def follow(number: int, base: KnowledgeBase, changed: Callable[[KnowledgeDelta], None]) -> KnowledgeBegan:
@@ -334,7 +347,9 @@ Record: TypeAlias = (
     SharedBegan
     | KnowledgeBegan
     | KnowledgeDelta
+    | ClaimsBegan
     | RunMade
+    | RunStands
     | Happened
     | RunSucceeded
     | RunRetired

@@ -6,15 +6,15 @@ replay that would do something else is an error, for then its state is not the o
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import NoReturn, assert_never
+from typing import Any, NoReturn, assert_never
 from uuid import UUID
 
 from pnm.clock import TimeUsed
 from pnm.core.execution import events
 from pnm.core.execution.call_data import GoalFields
-from pnm.core.execution.call_results import RunResult
+from pnm.core.execution.call_results import Became, RunResult
 from pnm.core.execution.run import Run
 from pnm.core.knowledge_base import KnowledgeBase, Layered, statement_text
 from pnm.core.machine.generate import generate
@@ -23,6 +23,7 @@ from pnm.core.machine.requests import Accepted, Ended, Feedback, Postponed, Requ
 from pnm.core.resources import Resources
 from pnm.errors import PnmError, counted
 from pnm.journal import records
+from pnm.journal.ongoing import Ongoing
 from pnm.tasks import TaskEnding
 
 
@@ -117,6 +118,8 @@ class Replay:
     """The beginning of the world, on the clock of the event loop."""
     segment_began: float = 0.0
     """The beginning of the segment."""
+    ongoing: Ongoing = field(default_factory=Ongoing)
+    """What goes on, as it is said again where the next segment begins."""
     length: int = 0
     """The records of the segment."""
     now: float = 0.0
@@ -125,6 +128,8 @@ class Replay:
     """For actions by their text, the goal fields that their servers have."""
     _machines: dict[str, tuple[records.MachineSource, PetriNetMachine]] = field(default_factory=dict)
     """Machines and what they are made from, by key."""
+    _machines_before: dict[str, tuple[records.MachineSource, PetriNetMachine]] = field(default_factory=dict)
+    """Those of the segment before, which runs may go on with."""
     _deltas: list[records.KnowledgeDelta] | None = None
     """The changes by the run that handles an event."""
 
@@ -151,17 +156,20 @@ class Replay:
 
     def forget(self) -> None:
         """Forget what was in segments before the one that has just begun."""
-        self.runs, self.tasks, self.requests, self._machines = {}, {}, {}, {}
+        self.runs, self.tasks, self.requests = {}, {}, {}
+        self._machines, self._machines_before = {}, self._machines
 
     def apply(self, number: int, time: float, record: records.Record) -> ReplayStep:
         """Replay a record; raise `ReplayDiffers` if its run does something else than it did then."""
         self.now, self.length = max(self.now, time), self.length + 1
+        is_again = self.shared is not None and self.length <= 1 + self.shared.again
+        self.ongoing.note(time, record, self.shared.since if self.shared and is_again else None)
         match record:
             case records.Happened():
                 return self._happened(number, time, record)
             case records.TaskAccepted(wanted):
                 made = [replayed for replayed in self.runs.values() if replayed.made.task == wanted.id]  # of a plan, before it is accepted
-                self.tasks[wanted.id] = ReplayedTask(record, self.now, self, self.is_held, made)
+                self.tasks[wanted.id] = ReplayedTask(record, time, self, self.is_held, made)
             case records.TaskHeld(None, is_held):
                 self.is_held = is_held
             case records.TaskHeld(task, is_held):
@@ -174,14 +182,25 @@ class Replay:
             case records.SharedBegan(capacities, began=began):
                 self.shared, self.resources, self.bases = record, Resources(capacities), {}
                 self.began, self.segment_began, self.length = began, time, 1
-                self.fields = {}
+                self.fields, self.ongoing = {}, Ongoing(number)
+                # what goes on is said again
+                going_on = {task.accepted.wanted.id for task in self.unfinished}
+                self.runs = {id: one for id, one in self.runs.items() if one.is_over and one.made.task not in going_on}
+                self.tasks = {id: task for id, task in self.tasks.items() if id not in going_on}
             case records.KnowledgeBegan(base):
                 self.bases[base] = records.base_of(record)
                 records.follow(base, self.bases[base], self._note)
             case records.KnowledgeDelta(base):
                 records.change(self.bases[base], record)
+            case records.ClaimsBegan(state, requests):
+                self.resources.restore(state)
+                self.requests |= {request.id: request for request in requests}
             case records.RunMade():
                 self._make(record)
+            case records.RunStands(made, state, results):
+                self._make(made, state)
+                if results is not None:
+                    self._end(number, self.runs[made.run], results)
             case records.RunSucceeded(run, successor, results):
                 self._end(number, self.runs[run], results)
                 self.runs[successor].run.take_the_place_of(self.runs[run].run, time)
@@ -219,8 +238,10 @@ class Replay:
             _differ(number, "tells", run.told, record.told)
         return ReplayStep(number, time, record, name, commands)
 
-    def _make(self, made: records.RunMade) -> None:
+    def _make(self, made: records.RunMade, kept: Mapping[str, Any] | None = None) -> None:
         assert self.source is not None, "a replay reads machines where it reads records"
+        if (before := self._machines_before.get(made.machine)) is not None:
+            self._machines[made.machine] = before
         if made.machine not in self._machines:
             source = self.source(made.machine)
             machine = generate(source.plan, source.bindings, on_failure=source.on_failure, capacities=source.capacities)
@@ -239,6 +260,7 @@ class Replay:
             priority=made.priority,
             adopted=made.adopted,
             tells=True,
+            kept=kept,
         )
         replayed = ReplayedRun(made, run, lambda action: self.fields.get(str(action)) if self.fields else None, self)
         self.runs[made.run] = replayed
@@ -247,7 +269,7 @@ class Replay:
             task.runs = [one for one in task.runs if not one.made.gives_way(made, has_begun=one.run.begun)]
             task.runs.append(replayed)
 
-    def _end(self, number: int, replayed: ReplayedRun, results: tuple[records.Became, ...]) -> None:
+    def _end(self, number: int, replayed: ReplayedRun, results: tuple[Became, ...]) -> None:
         replayed.is_over, replayed.result = True, replayed.run.result_so_far()
         if (here := records.became(replayed.result, replayed.run.machine.plan)) != results:
             _differ(number, "ends with", here, results)
@@ -278,6 +300,10 @@ def words(step: ReplayStep, replay: Replay) -> tuple[str, ...]:
         case records.RunMade(_, _, name):
             run = replay.runs[record.run].run
             return (f"a machine for {name}: {counted(len(run.machine.plan.calls), 'call')}, {run.machine.placed.count_places} places",)
+        case records.ClaimsBegan(requests=requests):
+            return (f"requests that may have resources: {', '.join(str(request.action) for request in requests) or 'none'}",)
+        case records.RunStands(made):
+            return (f"the run {made.run.hex[:8]} of {made.name} {'goes on' if record.results is None else 'has ended'}",)
         case records.Happened(run_id, event):
             written = (f"  writes {delta_text(delta)}" for delta in record.deltas if delta.facts or delta.variables)
             sent = (f"  sends {command.request.action}" for command in step.commands if isinstance(command, events.Send))

@@ -85,7 +85,7 @@ class _Commit(NamedTuple):
 
     first: int
     rows: Sequence[Row]
-    parts: Mapping[str, str]
+    parts: Mapping[str, str | None]
     segment: int
 
     @property
@@ -189,8 +189,8 @@ class JournalFile:
         if self._file_lock is not None:
             self._file_lock.mark(self.epoch, self._last, is_on_disk=self._is_durable or (is_closed and not _has_log(self.place)))
 
-    def append(self, rows: Sequence[Row], parts: Mapping[str, str]) -> None:
-        """Commit the rows, and the parts that they name, in one transaction.
+    def append(self, rows: Sequence[Row], parts: Mapping[str, str | None]) -> None:
+        """Commit the rows, and the parts that they name, in one transaction; parts that are kept already are named without their text.
 
         Raises:
             Fenced: a later epoch has begun, or the server has lost more than is remembered; nothing was written.
@@ -202,6 +202,11 @@ class JournalFile:
             kept.append(commit := _Commit(first, tuple(rows), dict(parts), segment))
             self._keep(commit)
         self._mark()
+
+    @property
+    def segment(self) -> int:
+        """The first record of the segment that goes on."""
+        return self._segment
 
     def look(self) -> None:
         """Raise a `JournalError` if the journal is not where others look for it, as when its file was deleted or moved."""
@@ -229,8 +234,10 @@ class JournalFile:
         named = [
             {"key": key, "segment": commit.segment, "text": text, "checksum": tables.checksum(key + text)}
             for key, text in commit.parts.items()
+            if text is not None
         ]
         database.run_many(tables.KEEP_PART, named)
+        database.run_many(tables.NAME_PART, [{"key": key, "segment": commit.segment} for key, text in commit.parts.items() if text is None])
 
     def drop(self, records: float, tasks: float) -> None:
         """Drop segments that were over before a time of day, and the rows of tasks that had ended before another one.

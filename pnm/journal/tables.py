@@ -62,6 +62,7 @@ LAST_HOLDER: Final = SqlQuery("SELECT holder FROM epochs ORDER BY epoch DESC LIM
 KEEP: Final = "INSERT INTO records VALUES (:sequence, :epoch, :time, :text, :checksum)"
 BEGIN_SEGMENT: Final = "INSERT INTO segments VALUES (:first, :wall, :checksum)"
 KEEP_PART: Final = "INSERT INTO parts VALUES (:key, :segment, :text, :checksum) ON CONFLICT (key) DO UPDATE SET segment = excluded.segment"
+NAME_PART: Final = "UPDATE parts SET segment = :segment WHERE key = :key"
 KEEP_TASK: Final = (
     "INSERT INTO tasks VALUES (:task, :accepted, :wall, :is_over, :text, :checksum) ON CONFLICT (task) DO UPDATE"
     " SET wall = excluded.wall, is_over = excluded.is_over, text = excluded.text, checksum = excluded.checksum"

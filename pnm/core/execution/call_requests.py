@@ -5,17 +5,18 @@ Decides nothing: `pnm.core.execution.run` decides when, and gets the commands th
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
-from typing import Final, TypeAlias
+from typing import Any, Final, TypeAlias
 from uuid import UUID
 
-from pnm.core.execution.call_data import GoalFields, finished, goal, ready, sending, variables_of
+from pnm.core.execution.call_data import GoalFields, Intention, finished, goal, ready, sending, variables_of
 from pnm.core.execution.call_results import CallResult
 from pnm.core.execution.events import Cancel, Command, Performed, Reattach, Send, Store
 from pnm.core.execution.handover import CallAttempt, UnderWay
 from pnm.core.execution.machine_index import index_of
 from pnm.core.execution.questions import EvaluationContext, carry_out
+from pnm.core.kept_state import KeptState
 from pnm.core.knowledge_base import Layered
 from pnm.core.logic.computed_values import Question
 from pnm.core.logic.conditions import observed
@@ -28,17 +29,21 @@ from pnm.core.machine.requests import Feedback, Outcome, Request, TransitionActi
 
 _NOTHING: Final = Performed()
 _CHANGED: Final = Performed(changes_knowledge=True)
+_AS_PLANNED: Final = GroundAction("")
+"""Stands for the action of the plan."""
 _BEGIN, _FINISH = TransitionAction.BEGIN, TransitionAction.FINISH
 
 Answers: TypeAlias = Mapping[Question, object] | None
 """The knowledge for a decision; None where no questions are asked."""
 
 
-class Calls:
+class Calls(KeptState):
     """The calls of one run.
 
     The mutable state is what the constructor sets under "state".
     """
+
+    KEPT = ("open", "attempts", "_stores")
 
     def __init__(
         self, run: UUID, machine: PetriNetMachine, knowledge: Layered, bindings: Bindings, goal_fields: GoalFields, *, asks: bool
@@ -57,6 +62,29 @@ class Calls:
         """Updates outside that are not confirmed."""
         self._contexts: dict[tuple[int | None, bool], EvaluationContext] = {}
         """Those without answers, which do not change, by call and whether questions may be asked."""
+
+    def values(self) -> dict[str, Any]:
+        """Return the state; of an attempt without what is so by the plan, which is most of it."""
+        attempts: dict[int, CallAttempt] = {}
+        for call, attempt in self.attempts.items():
+            action = _AS_PLANNED if attempt.action == self._plan.calls[call].action else attempt.action
+            intended = Intention() if attempt.intended == self._constant(call) else attempt.intended
+            attempts[call] = replace(attempt, action=action, intended=intended)
+        return {**super().values(), "attempts": attempts}
+
+    def restore(self, values: Mapping[str, Any]) -> None:
+        """Take a state back."""
+        super().restore(values)
+        for call, attempt in self.attempts.items():
+            action = self._plan.calls[call].action if attempt.action == _AS_PLANNED else attempt.action
+            intended = self._constant(call) if attempt.intended == Intention() else attempt.intended
+            held = None if attempt.held is None else set(attempt.held)
+            self.attempts[call] = replace(attempt, action=action, intended=intended, held=held, broken=dict(attempt.broken))
+
+    def _constant(self, call: int) -> Intention:
+        """Return what the call is going to change if that depends on nothing, as it would be sent now."""
+        closed = self._closed[call]
+        return Intention() if closed is None or closed.effects is None else closed.effects.intended(self.world)
 
     # --- what is asked about a call -----------------------------------------------------------
 
@@ -222,6 +250,11 @@ class Calls:
             return {}
         said = frozenset(changed)
         return {fluent: value for fluent, value in awaited.items() if fluent not in said and not same_value(world.value(fluent), value)}
+
+    def asked_since(self, calls: Iterable[int]) -> int:
+        """Return the number of changes of the world since which it is asked what was reported of open calls, and of some others."""
+        begun = (self.attempts[call].begun_after for call in (*self.open.values(), *calls) if call in self.attempts)
+        return min(begun, default=self.world.changes)
 
     def go_on_with(self, others: Calls) -> None:
         """Note since when the requests taken over from other calls have been under way."""

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections import deque
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
-from typing import Final, NamedTuple, TypeAlias
+from typing import Any, Final, NamedTuple, TypeAlias
 from uuid import UUID
 
+from pnm.core.kept_state import KeptState
 from pnm.core.machine.failure_causes import Cause
 from pnm.core.machine.guards import Rule
 from pnm.core.machine.plan_graph import ActionCall, GroundAction, PlanGraph, Step
@@ -16,6 +18,8 @@ from pnm.core.machine.requests import CallOutcome, Outcome
 _WAITING, _RUNNING, _PASSED_OVER = CallOutcome.WAITING, CallOutcome.RUNNING, CallOutcome.PASSED_OVER
 _SUSPENDED, _SKIPPED, _CANCELED = CallOutcome.SUSPENDED, CallOutcome.SKIPPED, CallOutcome.CANCELED
 
+REMEMBERED: Final = 500
+"""How many results of earlier rounds of a loop are kept."""
 SUCCESS: Final = "success"
 """The expected alternative for a call that ends otherwise."""
 
@@ -86,6 +90,20 @@ class CallResult(NamedTuple):
                 return self.kind.value
 
 
+class Earlier(NamedTuple):
+    """What is known of calls whose results are kept no more: the number of requests, and of those to action servers."""
+
+    attempts: int = 0
+    requests: int = 0
+
+    def with_result(self, result: CallResult) -> Earlier:
+        """Return the same with one more."""
+        return Earlier(self.attempts + result.attempts, self.requests + result.attempts * (result.call.action.operation is None))
+
+
+_NOTHING_EARLIER: Final = Earlier()
+
+
 @dataclass(frozen=True, slots=True, repr=False)
 class RunResult:
     """Result of a run: whether the goal holds, and the results of its calls."""
@@ -96,6 +114,8 @@ class RunResult:
     failures: tuple[Failure, ...]
     stopped: bool = False
     """The run was stopped."""
+    earlier: Earlier = _NOTHING_EARLIER
+    """Of rounds of loops that are too long ago for `calls`."""
 
     def __repr__(self) -> str:
         return f"<RunResult {'goal' if self.goal else self.reason}: {len(self.calls)} calls, {len(self.failures)} failures>"
@@ -152,26 +172,69 @@ def sent_with(call: ActionCall, arguments: tuple[str, ...] | None) -> ActionCall
     return call if arguments is None else replace(call, action=action_with(call.action, arguments))
 
 
-class CallResults:
+@dataclass(frozen=True, slots=True)
+class Became:
+    """The result of a call without what its plan says of it: the number of the call, and what has become of it."""
+
+    call: int
+    kind: CallOutcome
+    attempts: int = 0
+    started: float | None = None
+    ended: float | None = None
+    assumed: bool = False
+    cause: Cause | None = None
+    arguments: tuple[str, ...] | None = None
+    """Those that it was sent with last; None if they are those of the plan."""
+
+    @staticmethod
+    def from_result(result: CallResult, plan: PlanGraph) -> Became:
+        """Return what has become of a call of a plan."""
+        return Became(result.call.index, *result[1:], own_arguments(result.call, plan))
+
+    def of(self, plan: PlanGraph) -> CallResult:
+        """Return the result of the call of a plan."""
+        call = sent_with(plan.calls[self.call], self.arguments)
+        return CallResult(call, self.kind, self.attempts, self.started, self.ended, self.assumed, self.cause)
+
+
+class CallResults(KeptState):
     """Results of the calls of a run, and its failures.
 
-    The mutable state is what became of calls the last time they were reached, and all times before; `failures`, `last_check` and, per
-    call, how its last request ended and the last cause.
+    The mutable state is what became of calls the last time they were reached, and as often before as is remembered; `failures`,
+    `last_check` and, per call, how its last request ended and the last cause.
     """
+
+    KEPT = ("_current", "_rounds", "earlier", "failures", "last_check", "_answers", "_causes")
 
     def __init__(self, plan: PlanGraph) -> None:
         self._plan, self._calls = plan, plan.calls
         self._current: dict[int, CallResult] = {}
         """Those of the calls that were reached."""
-        self._rounds: list[CallResult] = []
+        self._rounds: deque[CallResult] = deque()
+        self.earlier = _NOTHING_EARLIER
+        """Of rounds that are not remembered: a run may go on for ever."""
         self.failures: list[Failure] = []
         self.last_check: Explanation | None = None
         """The last check with a consequence."""
         self._answers: dict[int, Outcome] = {}
         self._causes: dict[int, Explanation] = {}
 
+    def values(self) -> dict[str, Any]:
+        """Return the state; of results without what their plan says, and of the ends of requests without what servers had for results."""
+        short = {
+            "_current": {call: Became.from_result(result, self._plan) for call, result in self._current.items()},
+            "_rounds": tuple([Became.from_result(result, self._plan) for result in self._rounds]),
+            "_answers": {call: replace(answer, result={}) for call, answer in self._answers.items()},
+        }
+        return {**super().values(), **short}
+
+    def restore(self, values: Mapping[str, Any]) -> None:
+        """Take a state back."""
+        current = {call: became.of(self._plan) for call, became in values["_current"].items()}
+        super().restore({**values, "_current": current, "_rounds": [became.of(self._plan) for became in values["_rounds"]]})
+
     def calls(self, handed: Collection[int] = ()) -> tuple[CallResult, ...]:
-        """Return the results of the calls, every time they were reached.
+        """Return the results of the calls, every time they were reached, as far as that is remembered.
 
         A plan of calls alone keeps its order; of any other plan calls come in the order in which they were sent, and of those
         that were never reached the outermost ones.
@@ -216,6 +279,8 @@ class CallResults:
         elif outcome is _WAITING:
             if before.kind is not _WAITING:
                 self._rounds.append(self._current.pop(call))
+                if len(self._rounds) > REMEMBERED:
+                    self.earlier = self.earlier.with_result(self._rounds.popleft())
                 self._causes.pop(call, None)
         elif outcome is _PASSED_OVER:
             if before.ended is None:

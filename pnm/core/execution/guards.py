@@ -16,6 +16,7 @@ from pnm.core.execution.call_results import Explanation
 from pnm.core.execution.machine_index import Firing, Site
 from pnm.core.execution.questions import EvaluationContext, Questions
 from pnm.core.execution.run_state import RunState
+from pnm.core.kept_state import KeptState
 from pnm.core.logic.conditions import Condition, evaluate, explanation, ground, names, observed
 from pnm.core.logic.expressions import UNKNOWN, Truth
 from pnm.core.machine import guards
@@ -25,11 +26,13 @@ from pnm.core.resources import Claim, RunClaims, who_keeps
 NEVER: Final = float("inf")
 
 
-class Guards:
+class Guards(KeptState):
     """Evaluates the guards of a run. Questions may be asked for a guard at a place; without a place only what is known counts.
 
     The mutable state is, by transition, since when its guard would be open but for a delay.
     """
+
+    KEPT = ("_since",)
 
     def __init__(self, state: RunState, calls: Calls, claims: RunClaims[int], questions: Questions[int]) -> None:
         self.state, self._calls, self._claims, self._questions = state, calls, claims, questions

@@ -14,6 +14,7 @@ from typing import Final, Generic, NamedTuple, TypeVar
 from uuid import UUID
 
 from pnm.core.execution.events import Ask, Command, Performed, Store, Withdraw
+from pnm.core.kept_state import KeptState
 from pnm.core.knowledge_base import KnowledgeBase, Layered
 from pnm.core.logic.computed_values import (
     CHANGING,
@@ -180,7 +181,7 @@ class Need(NamedTuple):
     until: float | None = None
 
 
-class Questions(Generic[Place]):
+class Questions(KeptState, Generic[Place]):
     """The questions that a run has asked outside, and their answers.
 
     Answers of people to a run are known to the one that succeeds it, once for every call of the same action that asks the
@@ -188,6 +189,8 @@ class Questions(Generic[Place]):
 
     Places are known by number or by name. The mutable state is what the constructor sets.
     """
+
+    KEPT = ("_subjects", "noted", "_answers", "_silence", "asked", "_closed", "count", "_inherited", "_open")
 
     def __init__(self) -> None:
         self._subjects: dict[Place, str] = {}

@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from heapq import heappop, heappush
 from itertools import compress, count
 from math import inf
+from typing import Any, ClassVar
 from uuid import UUID
 
 from pnm.core.execution.call_results import CallResults
 from pnm.core.execution.events import Pause, Resume, Settled, SingleStep, Stop
 from pnm.core.execution.handover import UnderWay
 from pnm.core.execution.machine_index import MachineIndex
+from pnm.core.kept_state import KeptState
 from pnm.core.knowledge_base import Layered, Readers
 from pnm.core.logic.rules import Rules
 from pnm.core.machine.machine import OnFailure
@@ -20,7 +23,7 @@ from pnm.core.net.block_net import Engine
 from pnm.errors import RunError
 
 
-class Agenda:
+class Agenda(KeptState):
     """Places to be asked, in their order, and those that are *undecided*: nothing is open there yet, so they are asked again.
 
     The mutable state is what the constructor sets under "state".
@@ -29,6 +32,8 @@ class Agenda:
         index: of the machine.
         knowledge: what is decided by.
     """
+
+    KEPT = ("undecided", "_count", "_asked", "_timers", "_set", "_wake")
 
     def __init__(self, index: MachineIndex, knowledge: Layered) -> None:
         self._index = index
@@ -50,6 +55,18 @@ class Agenda:
         """By place, the time set last."""
         self._wake = inf
         """The time that was asked for last."""
+
+    def restore(self, values: Mapping[str, Any]) -> None:
+        """Take a state back; what is read at undecided places follows from the machine."""
+        super().restore(values)
+        for place in self.undecided:
+            if self._index.decision(place).listens:
+                self._readers.add(place, self._reads[place])
+
+    @property
+    def asked(self) -> tuple[int, int]:
+        """The number of changes of the world, and of the knowledge of the run, when it was decided last by them."""
+        return self._asked
 
     def wait(self, place: int, *, listens: bool) -> None:
         """Have a place asked again: it is undecided; if it `listens`, also when facts change."""
@@ -135,8 +152,10 @@ class Agenda:
 
 
 @dataclass
-class RunState:
+class RunState(KeptState):
     """State of a run that guards read besides knowledge. The mutable state is what has a default."""
+
+    KEPT: ClassVar = ("origin", "has_begun", "now", "stop", "pause", "is_stepping", "ending", "settled", "adopted")
 
     engine: Engine
     index: MachineIndex

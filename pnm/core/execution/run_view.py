@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections import Counter, deque
 from collections.abc import Mapping
-from typing import Final
+from math import inf
+from typing import Any, Final
 from uuid import UUID
 
 from pnm.core.execution.call_data import GoalFields
@@ -16,6 +17,7 @@ from pnm.core.execution.handover import UnderWay
 from pnm.core.execution.machine_index import index_of
 from pnm.core.execution.questions import Questions
 from pnm.core.execution.run_state import Agenda, RunState
+from pnm.core.kept_state import KeptState
 from pnm.core.knowledge_base import Layered
 from pnm.core.logic.effects import Changes
 from pnm.core.machine.bindings import Bindings, WhenLost
@@ -31,7 +33,7 @@ from pnm.errors import RunError
 _NONE: Final[Mapping[int, UnderWay]] = {}
 
 
-class RunView:
+class RunView(KeptState):
     """A run as its caller sees it: its marking, what is under way, and how it ended; what moves its tokens is `pnm.core.execution.run`.
 
     Args:
@@ -48,12 +50,15 @@ class RunView:
         priority: how its claims stand among those of others.
         adopted: for the number of every call that the plan marks as under way, the request that it takes over.
         tells: whether `told` is noted, for its journal.
+        kept: the state with which it goes on, as its `values` have told it; what it claims is claimed already.
 
     The mutable state is what the constructor sets under "state".
 
     Raises:
         RunError: the machine was generated for other capacities, or does not fit the requests that it takes over.
     """
+
+    KEPT = ("_early", "_waits", "_has_changed_knowledge")
 
     def __init__(
         self,
@@ -71,6 +76,7 @@ class RunView:
         priority: int = 0,
         adopted: Mapping[int, UnderWay] = _NONE,
         tells: bool = False,
+        kept: Mapping[str, Any] | None = None,
     ) -> None:
         self.machine, self.knowledge, self.id = machine, knowledge, id
         self.resources = Resources(machine.capacities) if resources is None else resources
@@ -100,11 +106,50 @@ class RunView:
         self._places, self._undecided, self._noted = self._agenda.places, self._agenda.undecided, self._questions.noted
         # last, because it may be refused; until then nothing of the shared resources is touched
         self.resources.check_capacities(machine.capacities)
+        if kept is not None:
+            self.restore(kept)
+            return
         self._check_adopted(adopted)
         for call, request in adopted.items():
             self._calls.adopt(call, request)
             if request.resources:
                 self._claims.keep(call, self._claims.claim(request.request, request.resources))
+
+    @property
+    def _parts(self) -> Mapping[str, KeptState]:
+        return {
+            "agenda": self._agenda,
+            "questions": self._questions,
+            "calls": self._calls,
+            "results": self._results,
+            "state": self._state,
+            "claims": self._claims,
+            "guards": self._guards,
+        }
+
+    def values(self) -> dict[str, Any]:
+        """Return the state between two events: with it, a run of the same machine goes on as this one does."""
+        initial, marked_at = self.machine.placed.initial, self._marked_at
+        tokens = {place: count for place, count in enumerate(self._tokens) if count != initial.get(place, 0)}
+        # the time of a place without a token is of no use: the next token has its own
+        times = {place: marked_at[place] for place, count in enumerate(self._tokens) if count and marked_at[place] > -inf}
+        parts = {name: part.values() for name, part in self._parts.items()}
+        return {**super().values(), "tokens": tokens, "marked_at": times, **parts}
+
+    def restore(self, values: Mapping[str, Any]) -> None:
+        """Take a state back."""
+        super().restore(values)
+        self._engine.put(values["tokens"])
+        for place, time in values["marked_at"].items():
+            self._marked_at[place] = time
+        for name, part in self._parts.items():
+            part.restore(values[name])
+
+    @property
+    def asked_since(self) -> tuple[int, int]:
+        """The number of changes of the world, and of its own knowledge, since which it may ask what has changed."""
+        world, local = self._agenda.asked
+        return min(world, self._calls.asked_since(call for _, call in self._settling)), local
 
     def _check_adopted(self, adopted: Mapping[int, UnderWay]) -> None:
         """Refuse to take over other requests than those that the plan marks as under way, or more than there are resources for."""
@@ -233,7 +278,7 @@ class RunView:
             cause, expected, seen = self._results.last_check or ("", "", "")
             why = "every call is done but the goal does not hold" if cause is Cause.GOAL_FALSE else cause
             reason = f"{why}: expected {expected}; observed {seen}"
-        return RunResult(goal, reason, self._results.calls(), tuple(self._results.failures), self.stopped)
+        return RunResult(goal, reason, self._results.calls(), tuple(self._results.failures), self.stopped, self._results.earlier)
 
     @property
     def results(self) -> tuple[CallResult, ...]:
@@ -304,7 +349,7 @@ class RunView:
         """Return the progress of the run, for one that may be succeeded by another."""
         handed = {running.call.index for running in self.under_way()}
         calls, failures = self._results.calls(handed), tuple(self._results.failures)
-        return RunResult(False, "another run goes on", calls, failures, self.stopped)
+        return RunResult(False, "another run goes on", calls, failures, self.stopped, self._results.earlier)
 
     def result_so_far(self) -> RunResult:
         """Return the end of the run, or its progress."""

@@ -297,6 +297,11 @@ class Engine:
         for place, count in marking.items():
             self._add(place, count)
 
+    def put(self, tokens: Mapping[int, int]) -> None:
+        """Have so many tokens on these places."""
+        for place, count in tokens.items():
+            self._add(place, count - self.tokens[place])
+
     def is_enabled(self, transition: int) -> bool:
         """Return whether the marking covers the transition's preset."""
         only = self.net.only_input[transition]

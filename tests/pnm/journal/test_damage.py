@@ -8,6 +8,7 @@ import sqlite3
 from contextlib import closing, suppress
 from itertools import product
 from pathlib import Path
+from unittest.mock import patch
 
 import pytest
 
@@ -16,6 +17,7 @@ from pnm.core.logic.expressions import Fluent, Unknown, Value
 from pnm.errors import InputError, PnmError
 from pnm.files.database.lock import lock_of
 from pnm.files.database.place import Place
+from pnm.journal import journal
 from pnm.journal.kept import JournalChoice, JournalError, Row
 from pnm.journal.lease import take
 from pnm.journal.records import Record, TaskSummary
@@ -33,17 +35,17 @@ def records(path: Path) -> list[Record]:
 
 
 def gone_on_with(path: Path) -> Taken:
-    journal = take_up(JournalChoice(path), TASKS, "")
-    journal.hold.release()
-    journal.file.close()
-    return journal
+    gone_on = take_up(JournalChoice(path), TASKS, "")
+    gone_on.hold.release()
+    gone_on.file.close()
+    return gone_on
 
 
 def taken(path: Path) -> tuple[dict[Fluent, Value | Unknown], tuple[TaskSummary, ...]]:
     """Return what goes on from a journal: what is known, and the tasks as they are listed."""
-    journal = gone_on_with(path)
-    assert journal.replay is not None
-    return dict(journal.replay.world.facts()), summaries(path, TASKS)
+    gone_on = gone_on_with(path)
+    assert gone_on.replay is not None
+    return dict(gone_on.replay.world.facts()), summaries(path, TASKS)
 
 
 @pytest.fixture(scope="module")
@@ -51,6 +53,21 @@ def written(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("written") / "journal"
     run_scenario(3, journal=path)
     return path
+
+
+@pytest.mark.parametrize(
+    ("known", "wrong"),
+    [('"tokens"', '"taken"'), ('"undecided":{', '"undecided":{"@":"map","items":[[-7,"x"]],'), ('"_rounds":', '"_rounds":7,"_":')],
+)
+def test_a_run_that_stands_in_no_way_is_refused(known: str, wrong: str, tmp_path: Path) -> None:
+    path = tmp_path / "journal"
+    with patch.multiple(journal, _LONGER=20, _SHARE=0):  # segments begin while tasks go on
+        run_scenario(3, journal=path)
+    with forged(path) as file:
+        changed = file.execute("UPDATE records SET text = replace(text, ?, ?) WHERE text LIKE '%\"RunStands\"%'", (known, wrong))
+        assert changed.rowcount > 0
+    with pytest.raises(PnmError, match=r"is damaged behind|cannot be read behind"):
+        records(path)
 
 
 OTHER_VALUES = ("'text'", "x'ff00'", "NULL", "9e999", "9223372036854775807")

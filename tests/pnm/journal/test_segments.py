@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Callable
+from contextlib import closing
 from itertools import count
 from pathlib import Path
 from uuid import UUID
@@ -12,13 +13,14 @@ import pytest
 
 from planner_bridge.tasks.result import TASKS
 from planner_bridge.tasks.settings import Settings
-from pnm.core.execution.events import Begin
+from pnm.core.execution.events import Begin, Command, Send
 from pnm.core.knowledge_base import KnowledgeBase, Layered
-from pnm.core.logic.conditions import Holds, Not
+from pnm.core.logic.conditions import TRUE, Holds, Not
 from pnm.core.logic.rules import NO_RULES, DerivationRule, Rules
 from pnm.core.machine.bindings import Bindings
 from pnm.core.machine.generate import generate
-from pnm.core.machine.plan_graph import ActionCall, GroundAction, PlanGraph
+from pnm.core.machine.plan_graph import ActionCall, Flow, GroundAction, Loop, PlanGraph
+from pnm.core.machine.requests import Accepted, Ended, Outcome, OutcomeKind
 from pnm.core.resources import Resources
 from pnm.journal import journal as journal_module
 from pnm.journal.journal import WrittenJournal
@@ -103,6 +105,66 @@ def test_tasks_in_turn_survive_a_death_before_during_or_after_every_commit(tmp_p
         if not survival.deaths:
             assert commit > 20
             return
+
+
+@pytest.fixture
+def all_the_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Have a segment begin after a few records, whatever goes on."""
+    monkeypatch.setattr(journal_module, "_LONGER", 5)
+    monkeypatch.setattr(journal_module, "_SHARE", 0)
+
+
+@pytest.mark.usefixtures("all_the_time")
+def test_what_goes_on_survives_a_death_before_during_or_after_every_commit(tmp_path: Path) -> None:
+    begun = 0
+    for commit in count(1):
+        death = DiskPlan(commit, DEATHS[commit % len(DEATHS)])
+        survival = survive(fleet(), GOALS[:2], QUICK, tmp_path / f"{commit}.journal", [death])
+        assert {ending.code for ending in survival.endings.values()} == {Code.GOAL_REACHED}, (commit, survival.endings)
+        assert [survival.repeated, survival.wrong] == [[], []], commit
+        begun += sum(isinstance(record, SharedBegan) and record.since > 0 for record in survival.story.records)
+        if not survival.deaths:
+            assert commit > 20
+            assert begun > 5 * commit
+            return
+
+
+@pytest.mark.usefixtures("all_the_time")
+def test_the_records_of_a_task_that_goes_on_are_dropped_but_for_the_last_segment(tmp_path: Path) -> None:
+    days = count()
+    survive(fleet(), GOALS[:1], QUICK, tmp_path / "j", [30], wall=lambda: next(days) * DAY)
+    steps = [*replay_steps(tmp_path / "j", TASKS, Replay())]
+    assert steps[0].number > 30, "its first segments are not there any more"
+    first = steps[0].record
+    assert isinstance(first, SharedBegan)
+    assert 0 < first.since < steps[0].number, "it goes on there"
+    assert [task.ending and task.ending.code for task in replayed(tmp_path / "j", TASKS).tasks.values()] == [Code.GOAL_REACHED]
+
+
+async def test_a_loop_is_taken_up_as_fast_however_long_it_has_gone_on(tmp_path: Path) -> None:
+    lengths: list[int] = []
+    for calls in (2_000, 6_000):
+        journal, world = WrittenJournal(JournalFile(tmp_path / f"{calls}", 0.0), TASKS), KnowledgeBase()
+        journal.begin(world, Resources())
+        body = Flow((ActionCall(0, GroundAction("act")),))
+        machine = generate(PlanGraph((Loop(1, TRUE, body, 10**6),)))
+        run = journal.make_run(machine, Layered(world), id=UUID(int=1), bindings=Bindings(), goal_fields=lambda _: None)
+        waiting: list[Command] = []
+        journal.handle(run, Begin(), 0.0, waiting.extend)
+        for number in range(calls):
+            (sent,) = (command.request.id for command in waiting if isinstance(command, Send))
+            waiting.clear()
+            journal.handle(run, Accepted(sent), float(number), waiting.extend)
+            journal.handle(run, Ended(sent, Outcome(OutcomeKind.SUCCEEDED)), float(number), waiting.extend)
+            if number % 100 == 0:
+                await asyncio.sleep(0)
+        journal.close()
+        again = replayed(tmp_path / f"{calls}", TASKS)
+        assert again.runs[run.id].run.marking == run.marking
+        assert again.runs[run.id].run.interim_result().earlier.attempts + len(run.results) == calls + 1
+        with closing(KeptJournal(tmp_path / f"{calls}")) as kept:
+            lengths.append(sum(len(row.text) for _, row in kept.rows(kept.last_segment() - 1)))
+    assert lengths[1] < 2 * lengths[0]
 
 
 async def test_records_of_the_past_are_dropped_while_there_is_nothing_to_do(tmp_path: Path) -> None:

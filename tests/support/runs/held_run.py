@@ -1,10 +1,14 @@
-"""The run held against the reference: after every event both have fired the same and want the same, and know the same."""
+"""The run held against others: after every event both have fired the same and want the same, and know the same.
+
+The one is the reference; the other is a run that was made from the values of this one, and goes on beside it.
+"""
 
 from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping
 from random import Random
+from typing import Any
 from uuid import UUID
 
 from pnm.core.execution.call_data import intention
@@ -24,6 +28,9 @@ from pnm.core.machine.machine import OnFailure, PetriNetMachine
 from pnm.core.machine.plan_graph import ActionCall
 from pnm.core.machine.requests import CallOutcome, Request
 from pnm.core.net.net import Marking
+from pnm.core.resources import Resources
+from pnm.journal.codec import RECORDS
+from pnm.journal.records import base_of, knowledge_now
 from tests.support.runs.commands import RUN
 from tests.support.runs.mutation.machines import random_bindings, random_plan, with_calls_under_way, written_out
 from tests.support.yaml.chaos import Chaos
@@ -115,27 +122,96 @@ class Unrest(Chaos):
         return super()._next()
 
 
+class KeptRun(Run):
+    """A run with another beside it, which is made anew from its values now and then. The mutable state is that one."""
+
+    def __init__(
+        self,
+        machine: PetriNetMachine,
+        knowledge: Layered,
+        *,
+        asks: bool = False,
+        bindings: Bindings | None = None,
+        adopted: Mapping[int, UnderWay] | None = None,
+    ) -> None:
+        super().__init__(machine, knowledge, id=RUN, asks=asks, bindings=bindings, adopted=adopted or {}, tells=True)
+        self._asks, self._bindings, self._events, self._is_at_work = asks, bindings, 0, False
+        self.other = self._made_again()
+        knowledge.world.listen(self._hear)
+
+    def _made_again(self) -> Run:
+        """Make a run that knows nothing but what can be written down of this one."""
+
+        def read(value: Any) -> Any:
+            return RECORDS.value(RECORDS.text(value))
+
+        world, local = self.asked_since
+        knowledge = Layered(
+            base_of(read(knowledge_now(0, self.knowledge.world, world))), base_of(read(knowledge_now(1, self.knowledge.local, local)))
+        )
+        resources = Resources(self.resources.capacities)
+        resources.restore(read(self.resources.values()))
+        kept = read(self.values())
+        return Run(self.machine, knowledge, id=RUN, asks=self._asks, bindings=self._bindings, resources=resources, tells=True, kept=kept)
+
+    def _hear(self, changes: Mapping[Fluent, Value | Unknown]) -> None:
+        if self._is_at_work:
+            return
+        if changes:  # it is news from outside, for both
+            self.other.knowledge.world.update(changes)
+        else:
+            self.other.knowledge.world.store(self.knowledge.world.variables())
+
+    def handle(self, event: Event, now: float) -> list[Command]:
+        self._is_at_work = True
+        commands = super().handle(event, now)
+        self._is_at_work = False
+        other = self.other
+        assert other.handle(event, now) == commands, f"other commands after {event} at {now}"
+        assert (other.fired, other.told) == (self.fired, self.told), f"other firings after {event} at {now}"
+        assert other.marking == self.marking
+        assert other.knowledge.world.facts() == self.knowledge.world.facts(), f"other facts after {event} at {now}"
+        assert other.knowledge.local.variables() == self.knowledge.local.variables()
+        assert (other.resources.held, other.resources.line) == (self.resources.held, self.resources.line)
+        assert (other.unreported, other.awaits, other.awaits_answers) == (self.unreported, self.awaits, self.awaits_answers)
+        assert repr(other.result_so_far()) == repr(self.result_so_far())
+        assert RECORDS.text(other.values()) == RECORDS.text(self.values()), f"another state after {event} at {now}"
+        self._events += 1
+        if self._events % 3:
+            self.other = self._made_again()
+        return commands
+
+
 def hold_against_reference(number: int, times: int = 3) -> None:
     """Execute the machine of a random plan a few times, in the run and in the reference."""
     for time in range(times):
-        random = Random(f"{number} {time}")
-        planned = random_plan(random, EFFECTS)
-        taken_over = with_calls_under_way(planned, random)
-        plan = taken_over if sum(call.under_way and bool(call.action.resources) for call in taken_over.calls) < 2 else planned
-        bindings = random_bindings(random)
-        machine = generate(plan, bindings, on_failure=random.choice([*OnFailure]))
-        machine = written_out(machine) if random.random() < 0.2 else machine
-        sensed = {name: random.choice([0.0, 1.5]) for name in ("powered", "free") if random.random() < 0.5}
-        knowledge = Layered(
-            KnowledgeBase({("powered",): random.random() < 0.8, ("free",): random.random() < 0.5, ("count",): 0.0}, sensed=sensed)
-        )
-        adopted = {call.index: _under_way(call, knowledge) for call in plan.calls if call.under_way}
-        run = HeldRun(machine, knowledge, asks=random.random() < 0.5, bindings=bindings, adopted=adopted)
-        unrest = Unrest(run, knowledge, random)
-        for taken in adopted.values():
-            unrest.adopt(taken)
-        for _ in unrest.drive(3_000):
-            pass
+        _drive(Random(f"{number} {time}"), HeldRun)
+
+
+def hold_against_values(number: int, times: int = 3) -> None:
+    """Execute the machine of a random plan a few times, with a run beside it that is made from its values again and again."""
+    for time in range(times):
+        _drive(Random(f"{number} {time}"), KeptRun)
+
+
+def _drive(random: Random, kind: type[HeldRun | KeptRun]) -> None:
+    planned = random_plan(random, EFFECTS)
+    taken_over = with_calls_under_way(planned, random)
+    plan = taken_over if sum(call.under_way and bool(call.action.resources) for call in taken_over.calls) < 2 else planned
+    bindings = random_bindings(random)
+    machine = generate(plan, bindings, on_failure=random.choice([*OnFailure]))
+    machine = written_out(machine) if random.random() < 0.2 else machine
+    sensed = {name: random.choice([0.0, 1.5]) for name in ("powered", "free") if random.random() < 0.5}
+    knowledge = Layered(
+        KnowledgeBase({("powered",): random.random() < 0.8, ("free",): random.random() < 0.5, ("count",): 0.0}, sensed=sensed)
+    )
+    adopted = {call.index: _under_way(call, knowledge) for call in plan.calls if call.under_way}
+    run = kind(machine, knowledge, asks=random.random() < 0.5, bindings=bindings, adopted=adopted)
+    unrest = Unrest(run, knowledge, random)
+    for taken in adopted.values():
+        unrest.adopt(taken)
+    for _ in unrest.drive(3_000):
+        pass
 
 
 def _under_way(call: ActionCall, knowledge: Layered) -> UnderWay:

@@ -132,7 +132,7 @@ class Disk(JournalFile):
         folder.holder, folder.until = process, process.loop.time() + SECONDS
         story.moments.append(Started(process.loop.time(), process.name, self.epoch))
 
-    def append(self, rows: Sequence[Row], parts: Mapping[str, str]) -> None:
+    def append(self, rows: Sequence[Row], parts: Mapping[str, str | None]) -> None:
         process, plan = self._process, self._plan
         self._commits += 1
         fate = plan.fate if self._commits == plan.at else None

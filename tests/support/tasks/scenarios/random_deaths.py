@@ -6,14 +6,20 @@ import random
 from collections import Counter
 from dataclasses import replace
 from pathlib import Path
+from typing import Final
+from unittest.mock import patch
 from uuid import UUID
 
 from pnm.actions.faults import NO_FAULTS
 from pnm.core.machine.bindings import Bindings
+from pnm.journal import journal
 from pnm.tasks import Code, OnConflict, Wanted
 from tests.support.runs.simulation.disk import DEATHS, DiskPlan
 from tests.support.tasks.scenarios.crash import survive
 from tests.support.tasks.scenarios.random_scenarios import Scenario, draw
+
+LENGTHS: Final = (1, 3, 10, 1000)
+"""Records after which a segment begins while tasks go on: most processes go on with what was said again at the beginning of one."""
 
 
 def run_deaths(number: int, folder: Path) -> Counter[Code]:
@@ -21,16 +27,17 @@ def run_deaths(number: int, folder: Path) -> Counter[Code]:
     rng = random.Random(number)
     scenario = draw(rng)
     tasks = [_task(rng, scenario, UUID(int=position + 1)) for position in range(rng.randrange(1, 5))]
-    survival = survive(
-        scenario.world.problem,
-        tasks,
-        replace(scenario.settings, improve=0.0, bindings=_unasked(scenario.settings.bindings)),
-        folder / "journal",
-        [DiskPlan(rng.randrange(1, 40), rng.choice(DEATHS), torn=rng.random()) for _ in range(rng.randrange(1, 5))],
-        faults=scenario.faults if rng.random() < 0.5 else NO_FAULTS,
-        programs=scenario.programs,
-        limits=scenario.limits,
-    )
+    with patch.multiple(journal, _LONGER=LENGTHS[number % len(LENGTHS)], _SHARE=0):
+        survival = survive(
+            scenario.world.problem,
+            tasks,
+            replace(scenario.settings, improve=0.0, bindings=_unasked(scenario.settings.bindings)),
+            folder / "journal",
+            [DiskPlan(rng.randrange(1, 40), rng.choice(DEATHS), torn=rng.random()) for _ in range(rng.randrange(1, 5))],
+            faults=scenario.faults if rng.random() < 0.5 else NO_FAULTS,
+            programs=scenario.programs,
+            limits=scenario.limits,
+        )
     assert survival.endings.keys() == {task.id for task in tasks}, "every task has an end"
     assert not survival.wrong, survival.wrong
     errors = [ending.message for ending in survival.endings.values() if ending.code is Code.ERROR]
