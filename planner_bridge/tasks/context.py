@@ -97,22 +97,27 @@ class TaskContext:
         """Keep a note of the task in the journal, for a process that goes on with it."""
         self.runner.journal.noted(self.task.id, note)
 
-    def unusable(self, history: History) -> frozenset[ForbiddenCall]:
-        """Return the calls that would fail: their action server was not there too often, a resource is withheld, or a value is lacking."""
+    def unusable(self, history: History) -> Mapping[ForbiddenCall, str]:
+        """Return the calls that would fail, and why: they need an action server, a resource or a value that is not to be had."""
         bindings = self.settings.bindings
         names = self.runner.resources.withheld_from(history.lacking)
-        served = calls_served_by(self.problem, bindings, history.absent_servers(self.settings.limits))
+        gone = history.absent_servers(self.settings.limits) | self.runner.backend.missing
+        found = {
+            call: f"needs the action server {one}, which is missing"
+            for one in gone
+            for call in calls_served_by(self.problem, bindings, [one])
+        }
+        found |= {call: f"needs {one}, which is withheld" for one in names for call in calls_acquiring(self.problem, bindings, [one])}
         # With a source outside, something new may be known without a trace here.
-        lacking: set[ForbiddenCall] = set()
         for action in history.uninformed if self.runner.source is None else ():
             binding, fields = bindings.of(action.name), self.runner.backend.client.goal_fields(action)
             if goal_data(action, binding, fields, EvaluationContext(self.knowledge, action, binding))[1]:  # fields without a value
-                lacking.add(ForbiddenCall.of(action))
-        return served | calls_acquiring(self.problem, bindings, names.keys()) | lacking
+                found[ForbiddenCall.of(action)] = "needs a value that is missing"
+        return found
 
     def forbidden(self, history: History) -> frozenset[ForbiddenCall]:
         """Return the calls that no plan may use now."""
-        return history.forbidden(self.settings.limits) | self.unusable(history)
+        return history.forbidden(self.settings.limits) | self.unusable(history).keys()
 
 
 # --- preemption -----------------------------------------------------------------------------------

@@ -14,7 +14,7 @@ from planner_bridge.model.plan import Plan
 from planner_bridge.model.progression import NotProjectable, snapshot
 from planner_bridge.ordering.plan_to_graph import plan_graph
 from planner_bridge.tasks.constraint_monitor import TaskMonitor
-from planner_bridge.tasks.context import TaskContext
+from planner_bridge.tasks.context import Conflict, TaskContext
 from planner_bridge.tasks.control import TaskEnded
 from planner_bridge.tasks.plan_execution import PlanExecution, ProvedMachine, proved_machine
 from planner_bridge.tasks.plan_search import NoPlan, PlanSearch
@@ -115,7 +115,10 @@ class GoalLoop:
             if kept_run is not None:
                 graph = await self._carry_on(kept_run)
             elif self._given is None:
-                search = partial(self._search.plan, self._context.forbidden(self._log.history))
+
+                def search() -> Awaitable[tuple[Plan | None, tuple[Conflict, ...]]]:  # what is missing now may be there when it is repeated
+                    return self._search.plan(self._context.forbidden(self._log.history))
+
                 plan = await self._search.patiently(lambda: self._search.in_turn(search), self._patience)
                 graph = await self._accepted(plan)
             else:
@@ -139,7 +142,7 @@ class GoalLoop:
     async def _helped(self, ended: TaskEnded, helper: Source) -> TaskEnded | None:
         """Ask a person for help. Return how the task ends; None if it begins again because of the answer, or because facts change."""
         context, control, task, history = self._context, self._control, self._context.task, self._log.history
-        reason = f"asks for help: {join_reasons(ended.reason, history.remedy(context.settings.limits))}"
+        reason = f"asks for help: {join_reasons(ended.reason, history.remedy(context.settings.limits, context.runner.backend.missing))}"
         if self._question is None:
             trouble = f"This goal cannot be reached: {reason.removeprefix('asks for help: ')}"
             asker = Asker(task.id, task.wanted.text or str(context.problem.goal), uuid5(task.id, f"help {self._log.helped}"))
@@ -311,7 +314,8 @@ class GoalLoop:
         result, history = execution.result, self._log.history
         if not (result.failures or execution.is_over):
             return replace(history, replans=history.replans + 1)
-        after = history.after(result.calls, result.failures, self._context.settings.bindings)
+        missing = self._context.runner.backend.missing
+        after = history.after(result.calls, result.failures, self._context.settings.bindings, missing)
         if execution.is_blocked and not result.failures:  # which says nothing about the plan
             return replace(history, failed=after.failed)
         return after

@@ -12,7 +12,7 @@ from math import inf
 from typing import Final, TypeAlias, TypeVar, cast
 from uuid import UUID
 
-from planner_bridge.model.forbidden_actions import ANY, ForbiddenCall, forbid
+from planner_bridge.model.forbidden_actions import ANY, ForbiddenCall, calls_served_by, forbid
 from planner_bridge.model.grounding import initial_knowledge
 from planner_bridge.model.plan import CancelToken, Plan, PlanningResult, PlanningStatus
 from planner_bridge.model.problem import Problem
@@ -43,6 +43,8 @@ from pnm.tasks import Code, OnConflict, TaskState
 
 _ELSEWHERE: Final = 60.0
 """Seconds for which a task without a plan waits for servers that are at work on goals of other programs, or on forgotten ones."""
+_RETURN: Final = 15.0
+"""Seconds for which a task without a plan waits for action servers that are missing: how long a robot takes to start."""
 _LOOK: Final = 1.0
 """Seconds between two looks whether they still are."""
 _HINT: Final = 0.1
@@ -61,20 +63,26 @@ class NoPlan(Exception):
 
     Args:
         busy: action servers that are at work on what this process has not asked for: while a robot moves, it is nowhere.
+        missing: action servers that are not there, and without which there may be no plan.
     """
 
-    def __init__(self, result: PlanningResult, forbidden: frozenset[ForbiddenCall], busy: tuple[str, ...] = ()) -> None:
+    def __init__(
+        self, result: PlanningResult, forbidden: frozenset[ForbiddenCall], busy: tuple[str, ...] = (), missing: tuple[str, ...] = ()
+    ) -> None:
         failed = sorted(str(call) for call in forbidden if ANY not in call.arguments)
         lacking = sorted(str(call) for call in forbidden if ANY in call.arguments)
         without = [
             *([f" without {', '.join(failed)}, not to be tried again"] if failed else []),
-            *([f" without {', '.join(lacking)}, whose servers or resources are not to be had"] if lacking else []),
+            *([f" without {', '.join(lacking)}, whose servers or resources are not to be had"] if lacking and not missing else []),
+            *([f" without the action server {' and '.join(missing)}, which is missing"] if missing else []),
         ]
         meanwhile = f", while {', '.join(busy)} {'are' if len(busy) > 1 else 'is'} at work on goals of other programs" if busy else ""
         said_once = result.status is PlanningStatus.NO_PLAN and result.message
-        super().__init__(f"no plan{' and'.join(without)}{meanwhile}: {said_once or result.reason}")
+        reason = "" if missing else f": {said_once or result.reason}"  # which is that the servers are missing
+        super().__init__(f"no plan{' and'.join(without)}{meanwhile}{reason}")
         self.status = result.status
         self.busy = busy
+        self.missing = missing
 
 
 @dataclass(frozen=True, slots=True)
@@ -172,14 +180,15 @@ class PlanSearch:
     async def patiently(self, search: Callable[[], Awaitable[T]], patience: float) -> T:
         """Search for a plan; while there is none, wait for facts to change and search again, for these seconds.
 
-        While servers are at work on what this process has not asked for, it waits longer, for `_ELSEWHERE` seconds.
+        While servers are at work on what this process has not asked for, it waits longer, for `_ELSEWHERE` seconds; for those that are
+        missing, `_RETURN` seconds.
 
         Raises:
             NoPlan: there is none, and it has waited long enough.
             TaskEnded: the task was stopped meanwhile.
         """
-        control, loop = self._control, asyncio.get_running_loop()
-        changed, began = asyncio.Event(), None
+        control, loop, backend = self._control, asyncio.get_running_loop(), self._context.runner.backend
+        changed, began, told = asyncio.Event(), None, ""
         unsubscribe = self._context.world.listen(lambda changes: changed.set() if changes else None)
         try:
             while True:
@@ -188,17 +197,23 @@ class PlanSearch:
                     return await search()
                 except NoPlan as no_plan:
                     began = loop.time() if began is None else began
-                    until = began + (max(patience, _ELSEWHERE) if no_plan.busy else patience)
+                    longer = _ELSEWHERE if no_plan.busy else _RETURN if no_plan.missing else 0.0
+                    until = began + max(patience, longer)
                     if no_plan.status not in _NO_PLAN or loop.time() >= until:
                         raise
-                    reason = f"waits {until - loop.time():g} s at most for facts to change: {no_plan}"
+                    for_what = f"for {', '.join(no_plan.missing)}" if no_plan.missing else "for facts to change"
+                    reason = f"waits {until - loop.time():g} s at most {for_what}: {no_plan}"
                     control.enter(TaskState.QUEUED, reason)
-                    self._context.observer.blocked(reason)
-                    while not changed.is_set() and await control.until(self._context.runner.backend.busy_elsewhere()) == no_plan.busy:
+                    if told != str(no_plan):  # once, however often it is looked at again because facts change
+                        told = str(no_plan)
+                        self._context.observer.blocked(reason)
+                    while not changed.is_set() and backend.missing.issuperset(no_plan.missing):
+                        if await control.until(backend.busy_elsewhere()) != no_plan.busy:
+                            break
                         if loop.time() >= until:
                             raise no_plan from None
                         with suppress(TimeoutError):
-                            async with asyncio.timeout_at(min(until, loop.time() + _LOOK) if no_plan.busy else until):
+                            async with asyncio.timeout_at(min(until, loop.time() + _LOOK) if longer else until):
                                 await control.until(changed.wait())
                 await control.wait(self._context.settings.limits.backoff)  # facts seldom change alone, and some all the time
         finally:
@@ -275,7 +290,9 @@ class PlanSearch:
                 busy = await context.runner.backend.busy_elsewhere()
             if result.status is PlanningStatus.UNSOLVABLE and (busy or context.runner.resources.given_up):  # not in the world that will be
                 result = replace(result, status=PlanningStatus.NO_PLAN)
-            raise NoPlan(result, forbidden, busy)
+            bindings, missing = context.settings.bindings, sorted(context.runner.backend.missing)
+            gone = [name for name in missing if not forbidden.isdisjoint(calls_served_by(context.problem, bindings, [name]))]
+            raise NoPlan(result, forbidden, busy, tuple(gone))
         return self._reserved(result.plan, needed, conflicts or context.scheduler.conflicts(context.task, needed))
 
     async def given(self, plan: Plan) -> tuple[Plan | None, tuple[Conflict, ...]]:

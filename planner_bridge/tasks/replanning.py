@@ -8,9 +8,10 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from types import MappingProxyType
 from typing import Final
 
-from planner_bridge.model.forbidden_actions import ForbiddenCall
+from planner_bridge.model.forbidden_actions import ANY, ForbiddenCall
 from planner_bridge.model.problem import Problem
 from planner_bridge.model.progression import ConstraintProgression, NotApplicable, Progression, snapshot
 from planner_bridge.ordering.plan_to_graph import deordered
@@ -91,7 +92,7 @@ class History:
     lacking: frozenset[str] = frozenset()
     """Resources that were waited for in vain."""
     absent: Mapping[str, int] = field(default_factory=dict)
-    """Action servers that were not there, and how often they were not since they last carried something out."""
+    """Action servers that were not there, and how often they went away since they last carried something out."""
     uninformed: frozenset[GroundAction] = frozenset()
     """Actions whose goals lacked a value: until there is one, they are of no use."""
     lost: frozenset[GroundAction] = frozenset()
@@ -107,28 +108,33 @@ class History:
         failed = {ForbiddenCall.of(action): limits.forbid_after for action in given_up}
         return History(failed, frozenset(map(ForbiddenCall.of, unconfirmed)))
 
-    def after(self, calls: Iterable[CallResult], failures: Iterable[Failure], bindings: Bindings = NO_BINDINGS) -> History:
-        """Return the history with one more failed run."""
+    def after(
+        self,
+        calls: Iterable[CallResult],
+        failures: Iterable[Failure],
+        bindings: Bindings = NO_BINDINGS,
+        missing: frozenset[str] = frozenset(),
+    ) -> History:
+        """Return the history with one more failed run; as long as a server is missing, that counts once."""
         calls, failures = tuple(calls), tuple(failures)
         failed, absent = dict(self.failed), dict(self.absent)
         of_calls = [(failure, failure.call) for failure in failures if isinstance(failure.call, ActionCall)]
+        succeeded = [result.call.action for result in calls if result.kind is CallOutcome.SUCCEEDED]
+        for server in map(bindings.server, succeeded):
+            absent.pop(server, None)
+        for server in {bindings.server(call.action) for failure, call in of_calls if failure.cause.blame is Blame.SERVER}:
+            absent[server] = 1 if server in missing else absent.get(server, 0) + 1
         for failure, failed_call in of_calls:
             if failure.cause.blame is not Blame.WORLD:
                 call = ForbiddenCall.of(failed_call.action)
                 failed[call] = failed.get(call, 0) + 1
-            if failure.cause.blame is Blame.SERVER:
-                server = bindings.server(failed_call.action)
-                absent[server] = absent.get(server, 0) + 1
-        for result in calls:
-            if result.kind is CallOutcome.SUCCEEDED:
-                failed.pop(ForbiddenCall.of(result.call.action), None)
-                absent.pop(bindings.server(result.call.action), None)
+        for action in succeeded:
+            failed.pop(ForbiddenCall.of(action), None)
         at_work = [call for failure, call in of_calls if failure.unconfirmed]
         at_work += [result.call for result in calls if result.kind is CallOutcome.UNCONFIRMED]
         uninformed = {call.action for failure, call in of_calls if failure.cause is Cause.DATA_MISSING}
         of_lost = (call.action for failure, call in of_calls if failure.cause is Cause.LOST)
         lost = {action for action in of_lost if bindings.of(action.name).when_lost is WhenLost.ABORT}
-        progress = any(result.kind is CallOutcome.SUCCEEDED for result in calls)
         return History(
             failed,
             self.unconfirmed | {ForbiddenCall.of(call.action) for call in at_work},
@@ -137,7 +143,7 @@ class History:
             self.uninformed | uninformed,
             self.lost | lost,
             self.replans + 1,
-            0 if progress else self.fruitless + 1,
+            0 if succeeded else self.fruitless + 1,
             self.reached,
         )
 
@@ -155,22 +161,23 @@ class History:
         """Return the calls that failed too often, or whose servers may still be at work."""
         return self.unconfirmed | {call for call, times in self.failed.items() if times >= limits.forbid_after}
 
-    def objection(self, action: GroundAction, limits: Limits) -> str:
+    def objection(self, action: GroundAction, limits: Limits, unusable: Mapping[ForbiddenCall, str]) -> str:
         """Return why an action must not be used, in words that follow its name."""
         call = ForbiddenCall.of(action)
         if call in self.unconfirmed:
             return "may still be under way: its server has not confirmed that it is over"
         if self.failed.get(call, 0) >= limits.forbid_after:
             return f"has failed {self.failed[call]} times"
-        return "needs an action server, a resource or a value that is missing"
+        return next(why for call, why in unusable.items() if call.covers(action))
 
     def absent_servers(self, limits: Limits) -> frozenset[str]:
         """Return the action servers that were not there too often."""
         return frozenset(server for server, times in self.absent.items() if times >= limits.forbid_after)
 
-    def remedy(self, limits: Limits) -> str:
+    def remedy(self, limits: Limits, missing: frozenset[str] = frozenset()) -> str:
         """Return in words what would help after these failures; empty if there were none."""
-        needs = [f"the action server {server} is there again" for server in sorted(self.absent_servers(limits))]
+        gone = self.absent_servers(limits) | missing & self.absent.keys()
+        needs = [f"the action server {server} is there again" for server in sorted(gone)]
         needs += [f"{name} is given back" for name in sorted(self.lacking)]
         needs += [f"{action} gets the value that it lacks" for action in sorted(map(str, self.uninformed))]
         needs += [f"{call} works again" for call in sorted(map(str, self.forbidden(limits)))]
@@ -218,7 +225,8 @@ def decision_words(decision: Decision | None) -> str:
             goes_on = f"the rest of the plan still works: going on with {counted(len(rest.calls), 'call')} in a new machine"
             return "; ".join(filter(None, (goes_on, because)))
         case PlanAgain(forbidden, why, because):
-            never = f"not again: {', '.join(sorted(map(str, forbidden)))}" if forbidden else ""
+            calls = sorted(str(call) for call in forbidden if ANY not in call.arguments)  # of others it is said what they lack
+            never = f"not again: {', '.join(calls)}" if calls else ""
             return f"a new plan is needed: {'; '.join(filter(None, (why, because, never)))}"
         case GiveUp(reason):
             return f"given up: {reason}"
@@ -275,21 +283,21 @@ def decide(
     knowledge: KnowledgeBase,
     history: History,
     limits: Limits,
-    unusable: frozenset[ForbiddenCall] = frozenset(),
+    unusable: Mapping[ForbiddenCall, str] = MappingProxyType({}),
 ) -> tuple[Decision, History]:
     """Decide what follows a run that does not lead to the goal any more, whether or not it has ended; the history has this replan then.
 
     Args:
         now: the problem from the world as it is known to be.
         history: of all failures, those of this run included.
-        unusable: calls whose action server is not there, that need a resource that is withheld, or whose goals lack a value.
+        unusable: calls that would fail now, and why, in words that follow their names.
     """
     if given_up := history.given_up(limits):
         return given_up, history
-    forbidden, found_out = history.forbidden(limits) | unusable, ""
+    forbidden, found_out = history.forbidden(limits) | unusable.keys(), ""
     if not (why := times_that_matter(now)):
         if action := barred(progress, forbidden):
-            why = f"{action} {history.objection(action, limits)}"
+            why = f"{action} {history.objection(action, limits, unusable)}"
         else:
             found_out, seen = obstacle(progress, knowledge, (*now.domain.constraints, *now.constraints))
             why = found_out + seen

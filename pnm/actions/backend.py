@@ -54,6 +54,11 @@ class Backend(Protocol):
         """Look for the servers of these actions; return the names of those that are not there yet."""
         return ()
 
+    @property
+    def missing(self) -> frozenset[str]:
+        """The action servers that were waited for in vain, and are not there yet, by the names that bindings give them."""
+        return frozenset()
+
     async def busy_elsewhere(self) -> tuple[str, ...]:
         """Return the action servers that are at work on what this process has not asked for, as far as that is known."""
         return ()
@@ -121,6 +126,11 @@ class SimulatedBackend(ClientBackend):
         super().__init__(robots)
         self.robots = robots
         self._assumed = assumed
+
+    @property
+    def missing(self) -> frozenset[str]:
+        """The servers that have gone away, which do not come back."""
+        return frozenset(self.robots.lost)
 
     async def open(self, knowledge: KnowledgeBase) -> None:
         """Start the world's clock and its state reports."""

@@ -176,7 +176,7 @@ class SimulatedRobots:
     _jobs: dict[UUID, _Job] = field(default_factory=dict)
     _results: dict[UUID, tuple[str, Outcome]] = field(default_factory=dict)
     """The servers of requests that are over, and how these have ended."""
-    _lost: set[str] = field(default_factory=set)
+    lost: set[str] = field(default_factory=set)
     _seen: dict[int, int] = field(default_factory=dict)
     _chance: random.Random = field(init=False)
     _begun: bool = False
@@ -264,7 +264,7 @@ class SimulatedRobots:
 
     def _receive(self, request: Request, report: Reporter) -> None:
         action, server = request.action, self.bindings.server(request.action)
-        if server in self._lost:
+        if server in self.lost:
             report(Ended(request.id, Outcome(OutcomeKind.UNAVAILABLE, message=f"there is no server {server}")))
             return
         fault = self._fault(action)
@@ -288,7 +288,7 @@ class SimulatedRobots:
 
     def _schedule(self, job: _Job) -> None:
         def lose() -> None:
-            self._lost.add(self.bindings.server(job.request.action))
+            self.lost.add(self.bindings.server(job.request.action))
             self._fail(job, OutcomeKind.LOST, "the server went away")
 
         duration = self.untimed if job.request.action.duration is None else job.request.action.duration

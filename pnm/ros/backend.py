@@ -178,6 +178,11 @@ class Ros2Backend:
         named = [action for action in actions if self.bindings.names_server(action)]
         return await self._client.prepare(named, self._patience)  # type: ignore[no-any-return]
 
+    @property
+    def missing(self) -> frozenset[str]:
+        """The action servers that were waited for in vain, and are not there yet, as seen at the last look at them."""
+        return self._client.missing if self._client is not None else frozenset()
+
     async def busy_elsewhere(self) -> tuple[str, ...]:
         """Return the action servers that are at work on goals of other programs, or on goals that this node has forgotten."""
         return await self.ros.ask(self._others.busy_servers)  # type: ignore[no-any-return]

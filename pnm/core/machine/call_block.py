@@ -274,10 +274,12 @@ class CallBlock(Block[ActionCall]):
         add(OwnRule(check_rule(Cause.PRECONDITION_FALSE), lambda own: guards.ConditionFalse(own.may_start)), ready, refused)
 
         add(Rule("accepted", guards.Accepts(OWN), action=TransitionAction.BEGIN), requested, ["running", *announced])
-        # Nothing is undone after these: assumed start effects are only written once the goal is accepted.
+        # Nothing is undone after these: assumed start effects are only written once the goal is accepted. A server that is not there has
+        # been waited for: another attempt would end in the same way.
         for kind, cause in _EARLY.items():
             name = f"{kind.value}{'_early' if kind is OutcomeKind.LOST else ''}"
-            add(Rule(name, guards.Ends(OWN, frozenset({kind})), cause=cause), requested, self._after(cause, [recover]))
+            otherwise = failed if cause is Cause.UNAVAILABLE else [recover]
+            add(Rule(name, guards.Ends(OWN, frozenset({kind})), cause=cause), requested, self._after(cause, otherwise))
         unavailable = self._after(Cause.UNAVAILABLE, [recover])
         # A report that skips the acceptance is put right by the run; this exit makes the block complete without relying on that.
         add(Rule("ended_early", guards.Ends(OWN, _NOT_EARLY), cause=Cause.UNAVAILABLE), requested, unavailable)

@@ -61,7 +61,7 @@ class OutcomeKind(Enum):
     REJECTED = "rejected"
     TIMED_OUT = "timed_out"
     UNAVAILABLE = "unavailable"
-    """No server was there, or it never answered the request."""
+    """No server was there, although it was waited for; or it went away before it answered."""
     LOST = "lost"
     """The server went away after it had accepted."""
 

@@ -41,7 +41,7 @@ class Ros2ActionClient:
     even when the ROS thread is closed before.
 
     The mutable state is on the ROS thread (the links, the open goals, and the requests whose cancelling has to wait), except `_closed`, and
-    the ends that are to be reported; the reports on their way to the event loop are on both.
+    the ends that are to be reported; the reports on their way to the event loop are on both, and so are the missing servers.
     """
 
     ros: RosThread
@@ -55,6 +55,8 @@ class Ros2ActionClient:
     may_act: MayAct = lambda: True
     grace: float = GRACE
     """Seconds for which a server may be missing from the graph before the goals that it has accepted are lost."""
+    missing: frozenset[str] = frozenset()
+    """The servers that were waited for in vain, and were not there at the last look, by the names that bindings give them."""
     _links: dict[_Key, ServerLink] = field(default_factory=dict)
     _goals: dict[UUID, tuple[Goal, ServerLink]] = field(default_factory=dict)
     _uncancelled: set[UUID] = field(default_factory=set)
@@ -197,7 +199,7 @@ class Ros2ActionClient:
             call_on_loop(self.loop, self._pass_on)
 
     def _keep_looking(self) -> None:
-        """Have the timer run while, and only while, a goal is under way or a link has something to look after."""
+        """Have the timer run while, and only while, a goal is under way, a server is missing, or a link has something to look after."""
         if self._timer is None:
             self._timer = self.ros.timer(LOOK, self._look)
         elif self._timer.is_canceled():
@@ -208,9 +210,12 @@ class Ros2ActionClient:
             return
         while self._uncancelled:
             self._cancel(self._uncancelled.pop())
+        now = monotonic()
+        # Before the goals to a missing server end: whoever hears of that knows then that it is missing.
+        self.missing = frozenset(name for (name, *_), link in self._links.items() if link.connection.is_missing(now))
         for link in set(self._links.values()):
-            link.look()
-        if not self._goals and not any(link.is_busy for link in self._links.values()):
+            link.look(now)
+        if not (self._goals or self.missing) and not any(link.is_busy for link in self._links.values()):
             self._timer.cancel()
 
     def _lose_all(self) -> None:

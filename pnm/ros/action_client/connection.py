@@ -121,6 +121,10 @@ class Connection:
         messages = self._feedback.take() if self._feedback else ()
         return {UUID(bytes=bytes(message.goal_id.uuid)): message.feedback for message in messages}
 
+    def is_missing(self, now: float) -> bool:
+        """Return whether the server is not there, and is not expected any more."""
+        return not self.ready() and now >= self._expected_until
+
     def absence(self, now: float) -> str:
         """Return why the server, which is not ready, is not expected any more; empty while it is."""
         return absence(servers(self.node), self.name, self.wanted_type) if now >= self._expected_until else ""

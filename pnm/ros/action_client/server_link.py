@@ -234,9 +234,8 @@ class ServerLink:
 
     # liveness
 
-    def look(self) -> None:
+    def look(self, now: float) -> None:
         """Check the server and every goal that is under way; called a few times a second."""
-        now = monotonic()
         self._look_at_queue(now)
         if self._unanswered or self._accepted:
             present = self.connection.processes()  # one look at the graph for all goals, so that their verdicts agree

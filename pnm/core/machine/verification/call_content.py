@@ -455,7 +455,7 @@ def _recoveries(net: CallNet, call: Asked) -> Mapping[Cause, object]:
             continue
         course = net.course(net.outputs[number])
         # without recoveries a false check and an end for good lead to failure, and every other end to another attempt
-        is_final = isinstance(guard, guards.Ends) and guard.kinds == {OutcomeKind.ABORTED_FOR_GOOD}
+        is_final = isinstance(guard, guards.Ends) and guard.kinds in ({OutcomeKind.ABORTED_FOR_GOOD}, {OutcomeKind.UNAVAILABLE})
         is_lost = _ends_lost(rule) and net.sources[number] <= net.under_way and call.binding.when_lost is WhenLost.ABORT
         usual = Then.FAIL if is_final or is_lost or guard.is_check else None
         if cause in ASKED:
