@@ -84,7 +84,10 @@ def domain_entries(domain: Domain, notes: Notes, bindings: Bindings) -> list[Ent
     actions: list[Entry] = []
     for schema in domain.actions.values():
         inner = own.at(pddl.ACTION, schema.name.lower())
-        bound = binding_entries(bindings.actions.get(schema.name, LANGUAGE_DEFAULT), LANGUAGE_DEFAULT, type_key="ros_type")
+        binding = bindings.actions.get(schema.name)
+        bound = tuple(binding_entries(binding or LANGUAGE_DEFAULT, LANGUAGE_DEFAULT, type_key="ros_type"))
+        if binding == LANGUAGE_DEFAULT:  # said all the same: an action without keys is imported as one that has no binding
+            bound = (Entry(_value(binding.retries), "retries"),)
         actions.append(Entry(YamlMapping((*_parts(schema, inner), *bound)), schema.name, inner.take(), apart=bool(actions)))
     entries.append(Entry(YamlMapping(tuple(actions)), "actions"))
     filled = (replace(entry, apart=entry.key != "requirements") for entry in entries if not _is_empty(entry))
