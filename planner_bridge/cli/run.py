@@ -214,10 +214,9 @@ def looked_at(
 
             options.write(timeline, timelines_svg(kept.place, only_last=True), force=force)
         if rates is not None:
-            from planner_bridge.explanations.learning import learn  # here, because nothing is learned from most runs
-            from planner_bridge.model.rates import update_rates
+            from planner_bridge.explanations.learning import learn_into  # here, because nothing is learned from most runs
 
-            update_rates(rates, partial(learn, kept.place))
+            learn_into(rates, kept.place)
 
 
 class _RunOnPage(TaskObserver):

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import closing
+from functools import partial
+from pathlib import Path
 from typing import Final
 from uuid import UUID
 
 from planner_bridge.explanations.history import JournalHistory, RunHistory
-from planner_bridge.model.rates import NO_RATES, Call, Counts, End, Rates
+from planner_bridge.model.rates import NO_RATES, Call, Counts, End, Rates, update_rates
 from planner_bridge.tasks.result import TASKS
 from pnm.core.machine.failure_causes import Cause
 from pnm.core.net.no_collection import no_collection
@@ -37,6 +39,11 @@ def learn(place: Place, rates: Rates = NO_RATES) -> Rates:
                 if step.number > counted:
                     attempts += attempts_of(history, history.runs[step.record.run])
     return rates.grown(journal, max(counted, history.number), attempts)
+
+
+def learn_into(file: Path, place: Place) -> None:
+    """Have a file of rates count what a journal tells as well; raises as `learn` and `update_rates` do."""
+    update_rates(file, partial(learn, place))
 
 
 def attempts_of(history: JournalHistory, run: RunHistory) -> Iterator[tuple[Call, Counts]]:

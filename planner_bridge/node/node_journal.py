@@ -13,8 +13,7 @@ from time import monotonic
 from typing import Any, Final
 from uuid import UUID
 
-from planner_bridge.explanations.learning import learn
-from planner_bridge.model.rates import update_rates
+from planner_bridge.explanations.learning import learn_into
 from planner_bridge.node.node_log import NodeObserver, standing_words
 from planner_bridge.node.options import Options
 from planner_bridge.tasks.result import TASKS
@@ -189,7 +188,7 @@ class Learner(TaskListener):
     async def _learn(self) -> None:
         try:
             self._ended.clear()
-            await asyncio.to_thread(update_rates, self._rates, partial(learn, self._place))
+            await asyncio.to_thread(learn_into, self._rates, self._place)
         except asyncio.CancelledError:  # it may not have been read to the end
             self._ended.set()
             raise
