@@ -2,9 +2,11 @@
 
 For every ground fluent the last writer is remembered, and the readers since; a reader waits for the last
 writer (a causal link), a writer for the last writer and for every reader since (else it would threaten their
-links). The result is a deordering of the plan (Bäckström 1998, *Computational Aspects of Reordering Plans*): it
-may be executed in any order that keeps these orderings, as soon as they allow. The reader of a derived fact
-reads whatever that rests on: every fluent that the plan changes and that can make a difference to it.
+links). Those that write the same value one after the other, whatever the state, need not wait for each other, nor for
+readers of that value: readers wait for the last of them, and the next writer of another value for all. The result is a
+deordering of the plan (Bäckström 1998, *Computational Aspects of Reordering Plans*): it may be executed in any order that
+keeps these orderings, as soon as they allow. The reader of a derived fact reads whatever that rests on: every fluent that
+the plan changes and that can make a difference to it.
 
 An over-all condition is read from just after the start until just before the end. Fluents that
 nothing changes, and counters that only a metric reads (`total-cost`), order nothing.
@@ -25,9 +27,18 @@ from typing import Final, NamedTuple
 from planner_bridge.ordering.partial_order import NEAR
 from pnm.core.knowledge_base import KnowledgeBase
 from pnm.core.logic.conditions import All, Condition, conjuncts, evaluate, fluents
-from pnm.core.logic.effects import TimedChange, read, read_early, written
+from pnm.core.logic.effects import TimedChange, changes, is_fixed, read, read_early, written
 from pnm.core.logic.expressions import UNKNOWN, Fluent, State, Unknown, Value
 from pnm.core.machine.plan_graph import ActionCall, GroundAction, Moment, Ordering, PlanEvent
+
+
+@dataclass(slots=True)
+class _SameWriters:
+    """Events that write the same value, and all that each of them comes after; events are added."""
+
+    value: Value
+    after: tuple[PlanEvent, ...]
+    events: list[PlanEvent]
 
 
 class _FluentReader(NamedTuple):
@@ -73,6 +84,8 @@ class CausalLinks:
     """The parts of what must hold from the start of each call to its end, with what of their fluents can order anything."""
     writer: dict[Fluent, PlanEvent] = field(default_factory=dict)
     """The event that wrote the fluent last."""
+    same: dict[Fluent, _SameWriters] = field(default_factory=dict)
+    """Of the fluents to which the last writer gives the same value in every state: all that have written it since another was there."""
     changed_at: dict[Fluent, float] = field(default_factory=dict)
     """The time at which the fluent changed by itself since."""
     readers: dict[Fluent, list[_FluentReader]] = field(default_factory=dict)
@@ -107,6 +120,10 @@ class CausalLinks:
             # what an action without duration needs must be there as long as the robot takes for it
             parts = conjuncts(action.precondition if action.duration is None else action.invariant)
             self.throughout.append(tuple([(part, relevant_of(fluents(part, knowledge))) for part in parts]))
+
+    def _is_joint(self, call: int, fluent: Fluent) -> bool:
+        """Return whether a part of what must hold all through a call has to do with this fluent and others."""
+        return any(len(group) > 1 and fluent in group for _, group in self.throughout[call])
 
     def relevant_of(self, fluents: frozenset[Fluent]) -> frozenset[Fluent]:
         """Return the bases of the fluents, as far as they can order anything."""
@@ -165,22 +182,42 @@ class CausalLinks:
         if any(kept.timed for kept in concerned):
             self.clocked.add(waits.call)
         # A write comes after the last write and after every read of that value since: else it would break a causal link.
+        action = self.actions[releases.call]
+        effects = action.start_effects if releases.moment is Moment.START else action.end_effects
+        fixed, others = tuple(filter(is_fixed, effects)), written(tuple(one for one in effects if not is_fixed(one)), self.knowledge)
+        certain = {fluent: value for fluent, value in changes(fixed, self.knowledge).items() if fluent not in others}
         for fluent in (*sorted(writes), *(kept.token for kept in concerned)):
-            self._after_writer(fluent, waits, now)
-            still_open = []
-            for reader in self.readers.get(fluent, ()):
-                if reader.until > now:  # an over-all condition that this write leaves true
-                    still_open.append(reader)
-                    self._order(self.starts[reader.call], waits, fluent)
-                else:
-                    self._order(reader.event, waits, fluent)
-            self.readers[fluent] = still_open  # readers of the old value are served; those with open conditions go on reading the new one
+            value, same = certain.get(fluent), self.same.get(fluent)
+            if same and same.value == value and fluent not in self.changed_at:
+                after = [
+                    *same.after,
+                    *(self._release(reader, now) for reader in self.readers[fluent] if self._is_joint(reader.call, fluent)),
+                ]
+                same.events.append(releases)
+            else:
+                self._after_writer(fluent, waits, now)
+                readers = self.readers.get(fluent, [])
+                before = same.events if same else [self.writer[fluent]] if fluent in self.writer else []
+                after = [*before, *(self._release(reader, now) for reader in readers)]
+                # readers of the old value are served; those with open conditions, which this write leaves true, go on reading the new one
+                self.readers[fluent] = [reader for reader in readers if reader.until > now]
+                self.same.pop(fluent, None)
+                if isinstance(value, bool | str):
+                    self.same[fluent] = _SameWriters(value, tuple(after), [releases])
+            for event in after:
+                self._order(event, waits, fluent)
             self.writer[fluent] = releases
             self.changed_at.pop(fluent, None)  # who reads it from now on reads what this event has written, and no longer the timed change
 
+    def _release(self, reader: _FluentReader, now: float) -> PlanEvent:
+        """Return what a writer waits for because of a reader: its end, or its start if it goes on reading."""
+        return self.starts[reader.call] if reader.until > now else reader.event
+
     def _after_writer(self, fluent: Fluent, waits: PlanEvent, now: float) -> None:
         if fluent in self.writer:
-            self._order(self.writer[fluent], waits, fluent)
+            same = self.same.get(fluent)
+            for event in same.events if same and self._is_joint(waits.call, fluent) else [self.writer[fluent]]:
+                self._order(event, waits, fluent)
         if fluent in self.changed_at:
             release = self.changed_at[fluent]
             if waits.moment is Moment.END:  # it comes when its time is up, so its start must be late enough, but no later than planned

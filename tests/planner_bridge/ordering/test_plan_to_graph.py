@@ -38,6 +38,46 @@ def test_an_ordering_names_the_fact_it_protects(steps: list[str], orderings: lis
     assert shown(plan_graph(rooms(), sequence(*steps))) == orderings
 
 
+LAMP = """
+(define (domain lamp)
+  (:requirements :strips :typing)
+  (:types button)
+  (:predicates (pressed ?b - button) (lit) (read) (dark))
+  (:action press :parameters (?b - button) :effect (and (pressed ?b) (lit)))
+  (:action read_on :parameters () :precondition (lit) :effect (read))
+  (:action look :parameters () :precondition (or (lit) (read)) :effect (read))
+  (:action switch_off :parameters () :precondition (read) :effect (and (not (lit)) (dark))))
+"""
+
+
+@pytest.mark.parametrize(
+    ("steps", "orderings"),
+    [
+        (["press a", "press b"], []),
+        (["press a", "read_on", "press b"], ["end of #0 < start of #1 ((lit))"]),
+        (["press a", "press b", "read_on"], ["end of #1 < start of #2 ((lit))"]),
+        (  # what reads joint conditions sees every writer before it
+            ["press a", "press b", "look"],
+            ["end of #0 < start of #2 ((lit))", "end of #1 < start of #2 ((lit))"],
+        ),
+        (  # another value comes after all of them, and they before or after it
+            ["press a", "read_on", "press b", "switch_off", "press a", "press b"],
+            [
+                "end of #0 < start of #1 ((lit))",
+                "end of #0 < start of #3 ((lit))",
+                "end of #1 < start of #3 ((read), (lit))",
+                "end of #2 < start of #3 ((lit))",
+                "end of #3 < start of #4 ((lit))",
+                "end of #3 < start of #5 ((lit))",
+            ],
+        ),
+    ],
+)
+def test_writers_of_the_same_value_do_not_wait_for_each_other(steps: list[str], orderings: list[str]) -> None:
+    text = "(define (problem p) (:domain lamp) (:objects a b - button) (:init) (:goal (lit)))"
+    assert shown(plan_graph(parse_problem(text, parse_domain(LAMP)), sequence(*steps))) == orderings
+
+
 def never_both(room: str) -> Constraint:
     return Constraint("always", (Not(All((Holds(("at", "r1", room)), Holds(("at", "r2", room))))),))
 
