@@ -105,12 +105,12 @@ def priced(problem: Problem, rates: Rates) -> Problem:
     seconds = tuple((name, rates.expected(GroundAction(name))) for name in problem.domain.actions)
     if len({price for _, price in seconds}) == 1:
         return problem
-    domain, name = _with_prices(problem.domain, seconds)
+    domain, name = domain_with_prices(problem.domain, seconds)
     return replace(problem, domain=domain, init={**problem.init, (name,): 0.0}, metric=Metric("minimize", ValueOf((name,))))
 
 
 @once_per_domain
-def _with_prices(domain: Domain, seconds: tuple[tuple[str, float], ...]) -> tuple[Domain, str]:
+def domain_with_prices(domain: Domain, seconds: tuple[tuple[str, float], ...]) -> tuple[Domain, str]:
     """Return the domain whose actions add their seconds to a function, and its name."""
     name = unused_name("robot-time", domain)
     actions = dict(domain.actions)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import time
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from math import inf
@@ -12,19 +12,21 @@ from typing import Final
 
 import kairos
 
-from planner_bridge.model.plan import CancelToken, Plan, PlanningResult, PlanningStatus, SpelledNames, plan_text
+from planner_bridge.model.plan import CancelToken, Plan, PlanningResult, PlanningStatus, PlanStep, SpelledNames, plan_text
 from planner_bridge.model.problem import TOTAL_TIME, Domain, Problem, once_per_domain
-from planner_bridge.model.progression import calls_of
 from planner_bridge.ordering.robot_time import ASSUMED, NO_RATES, Rates, priced, robot_time
 from planner_bridge.pddl.writer import write_domain, write_problem
 from planner_bridge.planning.normal_form import in_whole_numbers
 from planner_bridge.planning.parts import better_parts, can_have_parts
 from pnm.core.logic.expressions import ValueOf
+from pnm.core.machine.plan_graph import GroundAction
 from pnm.errors import InputError
 
 DEFAULT_PLANNER: Final = "kairos"
 SHARE: Final = 0.05
 """Share of the time that a plan is expected to take for which a better one is looked for."""
+_IN_VAIN: Final = 0.4
+"""Part of that time after which the search ends because nothing better was found, and all parts of the plan were tried."""
 LONGEST: Final = 5.0
 """Seconds for which a better plan is looked for at most, if nothing else is said: robots wait."""
 _POLL: Final = 0.05
@@ -36,7 +38,7 @@ _LEAST: Final = 0.05
 _WEIGHED: Final = 1.0
 """The first plans often fulfil no preference."""
 _PART: Final = 0.1
-"""Seconds for a better part of a plan."""
+"""Seconds of processor time of this process for a better part of a plan."""
 _BESIDE: Final = {"ehc": 0.2, "goals": 0.2, "novelty": 0.6}
 """Other ways of searching in Kairos, which it has beside its own one. Once there is a plan: one after the other, each for this share
 of the time for improvement. While there is none: one more whenever so much time has passed again. Each finds plans for some problems."""
@@ -135,21 +137,23 @@ def search_with_kairos(
     searches, others, best = [search], iter(_BESIDE.items()), _Best(problem, parsed, rates)
     until, began, patience = time.monotonic() + timeout, time.process_time(), inf if improve == 0.0 else _PATIENCE
     helpers = iter(sorted(_BESIDE, key=_BESIDE.__getitem__, reverse=True))
-    first = deadline = inf
+    first = news = deadline = inf
     parts: Iterator[bool] = iter(())
     while search.running() and not cancel.is_set() and (now := time.monotonic()) < deadline:
-        if not next(parts, False):
+        if next(parts, False):
+            news = now
+        else:
             search.next_plan(min(_POLL, deadline - now))
         if best.plan is None and time.process_time() > began + patience and (way := next(helpers, None)):
             searches.append(start(timeout=max(_POLL, until - now), search=way, memory_limit_mb=_memory_of_others()))
             patience *= 2
         if best.of(searches):
-            first = min(first, now)
+            first, news = min(first, now), now
             parts = better_parts(problem, best.plan, best.of_part, best.take) if best.plan and can_have_parts(problem) else iter(())
         if best.plan is not None:
             allowed = best.worth if improve is None else improve
-            deadline = first + allowed
-            if not any(beside.running() for beside in searches[1:]) and (other := next(others, None)):
+            deadline = first + allowed if improve is not None else min(first + allowed, news + allowed * _IN_VAIN)
+            if news < now and not any(beside.running() for beside in searches[1:]) and (other := next(others, None)):
                 searches.append(start(timeout=allowed * other[1], search=other[0]))
     is_best = not search.running() and search.stop_reason is kairos.StopReason.PROVEN_OPTIMAL
     is_best &= not rates.are_measure(problem) or rates.have_turns(problem)  # proved is that no plan has less work
@@ -180,7 +184,7 @@ class _Best:
 
     def __init__(self, problem: Problem, parsed: kairos.Problem, rates: Rates) -> None:
         self._problem, self._parsed, self._rates = problem, parsed, rates
-        self._planner = kairos.Planner()  # type: ignore[no-untyped-call]
+        self._start = kairos.Planner().start  # type: ignore[no-untyped-call]
         self._counts = rates.are_measure(problem)
         self._value: tuple[float, ...] = (inf,)
         self._seen: dict[int, float] = {}
@@ -205,7 +209,7 @@ class _Best:
         metric = self._problem.metric
         if self._counts:
             time = robot_time(self._problem, plan, self._rates)
-            value: tuple[float, ...] = (time, sum(self._rates.expected(call.action) for call in calls_of(self._problem, plan)))
+            value: tuple[float, ...] = (time, self._work(plan.steps))
             plan = replace(plan, seconds=time)
         elif plan.cost is not None:
             value = (-plan.cost if metric and metric.direction == "maximize" else plan.cost,)
@@ -224,13 +228,34 @@ class _Best:
         taken = plan.makespan if plan.temporal else len(plan.steps) * ASSUMED if plan.seconds is None else plan.seconds
         return min(LONGEST, max(least, taken * SHARE))
 
-    def of_part(self, part: Problem) -> Plan | None:
-        """Find a plan for a part of a plan in a short time."""
+    def of_part(self, part: Problem, old: Sequence[PlanStep], reached: float | None) -> Plan | None:
+        """Find a better plan for a part of a plan in a short time.
+
+        Args:
+            old: the steps of the part so far.
+            reached: the metric's value after them; None without one.
+        """
+        sign = -1.0 if part.metric is not None and part.metric.direction == "maximize" else 1.0
+        limit = self._work(old) if reached is None else sign * reached
         try:
-            found = self._planner.solve(parse_for_kairos(part, self._rates), timeout=_PART, anytime=True, threads=1).plan
+            search: kairos.Search = self._start(parse_for_kairos(part, self._rates), anytime=True, threads=1)
         except InputError:
             return None
-        return None if found is None else _plan(found, part)
+        until, going_on = time.process_time() + _PART, True
+        while going_on and time.process_time() < until:
+            going_on = search.running()
+            found = search.next_plan(_PART / 10.0)
+            if found is not None:
+                better = _plan(found, part)
+                if (self._work(better.steps) if reached is None else sign * found.cost) < limit:
+                    search.stop()
+                    return better
+        search.stop()
+        return None
+
+    def _work(self, steps: Iterable[PlanStep]) -> float:
+        """Return the seconds of all calls, one after the other."""
+        return sum(self._rates.expected(GroundAction(step.action, step.arguments)) for step in steps)
 
 
 def _joined(diagnostics: Iterable[kairos.Diagnostic]) -> str:

@@ -9,20 +9,20 @@ What the rest needs is guessed from what it reads; a whole plan with another par
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from typing import Final
 
 from planner_bridge.model.grounding import initial_knowledge
-from planner_bridge.model.plan import Plan
+from planner_bridge.model.plan import Plan, PlanStep
 from planner_bridge.model.problem import Problem
 from planner_bridge.model.progression import NotApplicable, Progression, calls_of, snapshot
 from planner_bridge.ordering.plan_to_graph import causal_links
 from planner_bridge.planning.normal_form import conditions_of
 from pnm.core.logic.conditions import Compare, Condition, Holds, Not, conjunction, evaluate, every_part, fluents
 from pnm.core.logic.effects import constants
-from pnm.core.logic.expressions import Constant, Unknown, ValueOf
+from pnm.core.logic.expressions import Constant, Unknown, ValueOf, value_of
 
 SHORTEST: Final = 6
 """Calls of the parts that are tried first; each round tries parts that are longer by half."""
@@ -34,23 +34,33 @@ def can_have_parts(problem: Problem) -> bool:
     return not (problem.is_timed or watched)
 
 
-def better_parts(problem: Problem, plan: Plan, solve: Callable[[Problem], Plan | None], take: Callable[[Plan], bool]) -> Iterator[bool]:
+def better_parts(
+    problem: Problem,
+    plan: Plan,
+    solve: Callable[[Problem, Sequence[PlanStep], float | None], Plan | None],
+    take: Callable[[Plan], bool],
+) -> Iterator[bool]:
     """Replace parts of a plan by better ones: yield True after each part that was tried, the longest of which is all but the whole.
 
     Args:
-        solve: finds a plan for a part, or none in a short time.
+        solve: finds a better plan for a part, of which it gets the steps so far, and the metric after them; or none in a short time.
         take: takes a plan if it is better, and returns whether it was taken.
     """
-    rest, length = _Rest(problem, plan), SHORTEST
+    comparisons = [part for condition in conditions_of(problem) for part in every_part(condition) if isinstance(part, Compare)]
+    sides = [(part.left, part.right, part.operation) for part in comparisons]
+    sides += [(right, left, {">": "<", "<": ">", ">=": "<=", "<=": ">="}.get(operation, "=")) for left, right, operation in sides]
+    wanted = [(side.fluent[0], operation) for side, _, operation in sides if isinstance(side, ValueOf)]
+    large = frozenset(name for name, _ in wanted) - {name for name, operation in wanted if not operation.startswith(">")}
+    rest, length = _Rest(problem, plan, large), SHORTEST
     while length < len(plan.steps):
         first = 0
         while first < len(plan.steps) - 1:
             last = min(first + length, len(plan.steps))
-            found = solve(rest.part(first, last))
-            if found is not None and found.steps != plan.steps[first:last]:
+            found = solve(rest.part(first, last), plan.steps[first:last], rest.metric(last))
+            if found is not None:
                 other = replace(plan, steps=(*plan.steps[:first], *found.steps, *plan.steps[last:]))
                 with suppress(NotApplicable):
-                    rest_of_other = _Rest(problem, other)
+                    rest_of_other = _Rest(problem, other, large)
                     if rest_of_other.reaches_goal and take(other):
                         plan, rest, first = other, rest_of_other, first - length
             first = max(0, first + length // 2)
@@ -59,10 +69,14 @@ def better_parts(problem: Problem, plan: Plan, solve: Callable[[Problem], Plan |
 
 
 class _Rest:
-    """The states of a plan, and what its rest reads from each on; raises `NotApplicable` if it cannot be carried out."""
+    """The states of a plan, and what its rest reads from each on; raises `NotApplicable` if it cannot be carried out.
 
-    def __init__(self, problem: Problem, plan: Plan) -> None:
-        self._problem = problem
+    Args:
+        large: the functions that conditions want to be large, such as a battery's charge, and never small.
+    """
+
+    def __init__(self, problem: Problem, plan: Plan, large: frozenset[str]) -> None:
+        self._problem, self._large = problem, large
         calls = calls_of(problem, plan)
         simulation, links = Progression(initial_knowledge(problem)), causal_links(problem, [call.action for call in calls])
         self._states = [snapshot(simulation.state)]
@@ -80,7 +94,12 @@ class _Rest:
         own = (fluents(condition, simulation.state) for condition in (problem.goal, *(call.action.precondition for call in calls)))
         self._mentioned = frozenset().union(*own)
         """What conditions mention themselves, and not only what derived facts follow from."""
-        self._large = _larger_is_better(problem)
+
+    def metric(self, position: int) -> float | None:
+        """Return the value of the metric at a position; None if there is none, or only the number of steps counts."""
+        metric = self._problem.metric
+        value = None if metric is None else value_of(metric.expression, self._states[position])
+        return value if isinstance(value, float | int) else None
 
     def part(self, first: int, last: int) -> Problem:
         """Return the problem of coming from one position to what the rest from another on needs."""
@@ -96,12 +115,3 @@ class _Rest:
         facts = self._states[first].facts()
         init = {fluent: value for fluent, value in facts.items() if not isinstance(value, Unknown)}
         return replace(self._problem, init=init, goal=conjunction(goals))
-
-
-def _larger_is_better(problem: Problem) -> frozenset[str]:
-    """Return the functions that conditions want to be large, such as a battery's charge, and never small."""
-    comparisons = [part for condition in conditions_of(problem) for part in every_part(condition) if isinstance(part, Compare)]
-    sides = [(part.left, part.right, part.operation) for part in comparisons]
-    sides += [(right, left, {">": "<", "<": ">", ">=": "<=", "<=": ">="}.get(operation, "=")) for left, right, operation in sides]
-    wanted = [(side.fluent[0], operation) for side, _, operation in sides if isinstance(side, ValueOf)]
-    return frozenset(name for name, _ in wanted) - {name for name, operation in wanted if not operation.startswith(">")}

@@ -1,0 +1,88 @@
+"""Parts of plans are replaced by better ones, and the whole still solves its problem."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import pytest
+
+from planner_bridge.model.plan import Plan, PlanStep
+from planner_bridge.model.problem import Problem
+from planner_bridge.pddl import parse_domain, parse_problem
+from planner_bridge.planning.parts import better_parts, can_have_parts
+from planner_bridge.planning.solve import solve
+from planner_bridge.planning.validate import why_invalid
+from tests.support.pddl.problems import matches, rooms
+
+VAN = """
+(define (domain van)
+  (:requirements :strips :typing :numeric-fluents :negative-preconditions)
+  (:types place parcel)
+  (:predicates (at ?a - place) (lies ?p - parcel ?a - place) (loaded ?p - parcel))
+  (:functions (charge) (room))
+  (:action drive :parameters (?from ?to - place) :precondition (and (at ?from) (>= (charge) 1))
+    :effect (and (not (at ?from)) (at ?to) (decrease (charge) 1)))
+  (:action plug_in :parameters () :precondition (at depot) :effect (assign (charge) 4))
+  (:action load :parameters (?p - parcel ?a - place) :precondition (and (at ?a) (lies ?p ?a) (>= (room) 1))
+    :effect (and (loaded ?p) (not (lies ?p ?a)) (decrease (room) 1)))
+  (:action unload :parameters (?p - parcel ?a - place) :precondition (and (at ?a) (loaded ?p))
+    :effect (and (not (loaded ?p)) (lies ?p ?a) (increase (room) 1)))
+  (:constants depot shop - place))
+"""
+
+
+def plan_of(*calls: str) -> Plan:
+    """A sequential plan of calls such as ``move r1 a b``."""
+    words = [call.split() for call in calls]
+    return Plan(tuple(PlanStep(name, tuple(arguments)) for name, *arguments in words))
+
+
+def improved(problem: Problem, plan: Plan) -> list[str]:
+    """Return the calls of the plan once no part can be made better."""
+    assert not why_invalid(problem, plan)
+    best = plan
+
+    def solve_part(part: Problem, old: Sequence[PlanStep], _: float | None) -> Plan | None:
+        found = solve(part, improve=0.2).plan
+        return found if found and len(found.steps) < len(old) else None
+
+    def take(other: Plan) -> bool:
+        nonlocal best
+        if why_invalid(problem, other) or len(other.steps) >= len(best.steps):
+            return False
+        best = other
+        return True
+
+    assert all(better_parts(problem, plan, solve_part, take))
+    return [" ".join((step.action, *step.arguments)) for step in best.steps]
+
+
+def test_detours_are_cut_short() -> None:
+    problem = rooms(goal="(and (clean c) (clean b) (at r1 a) (at r2 c))", ways="ab ba bc cb ac ca")
+    detour = plan_of(
+        *("move r1 a b", "move r1 b c", "sweep r1 c", "move r1 c b", "move r1 b a"), *("move r2 a b", "sweep r2 b", "move r2 b c")
+    )
+    assert len(improved(problem, detour)) == 4  # the other robot comes by anyway
+
+
+def test_ways_are_gone_once_for_two_things_and_the_charge_still_suffices() -> None:
+    parcels = ["p1", "p2", "p3", "p4"]
+    lie = " ".join(f"(lies {parcel} depot)" for parcel in parcels)
+    goal = " ".join(f"(lies {parcel} shop)" for parcel in parcels)
+    text = f"""(define (problem p) (:domain van) (:objects {" ".join(parcels)} - parcel)
+      (:init (at depot) {lie} (= (charge) 4) (= (room) 2)) (:goal (and {goal} (>= (charge) 1))))"""
+    one_by_one = [
+        *("load p1 depot", "drive depot shop", "unload p1 shop", "drive shop depot"),
+        *("load p2 depot", "drive depot shop", "unload p2 shop", "drive shop depot", "plug_in"),
+        *("load p3 depot", "drive depot shop", "unload p3 shop", "drive shop depot"),
+        *("load p4 depot", "drive depot shop", "unload p4 shop"),
+    ]
+    left = improved(parse_problem(text, parse_domain(VAN)), plan_of(*one_by_one))
+    assert len(left) < len(one_by_one)
+    assert sum(call.startswith("drive") for call in left) == 3
+
+
+@pytest.mark.parametrize("problem", [matches(1), rooms(goal="(and (clean a) (preference p (at r1 b)))", ways="ab ba")])
+def test_of_plans_with_times_or_preferences_no_part_is_replaced(problem: Problem) -> None:
+    assert not can_have_parts(problem)
+    assert can_have_parts(rooms())
