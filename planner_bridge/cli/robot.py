@@ -12,6 +12,7 @@ from rich.text import Text
 
 from planner_bridge.cli import options
 from planner_bridge.cli.console import SafeConsole
+from planner_bridge.model.exclusive_resources import relied_on
 from planner_bridge.pipeline.achieve import readiness
 from planner_bridge.pipeline.carry_out import readiness_for_plan
 from planner_bridge.pipeline.loading import bindings_for
@@ -95,6 +96,9 @@ def check(
         sensors = read_sensing(sensing, loaded.vocabulary) if sensing else NO_SENSING
         settings = Settings(bindings=bindings_for(chosen[0], bindings, loaded.vocabulary), sensing=sensors)
         rows = readiness(loaded, settings, wait)
+        for resource, actions in relied_on(loaded.domain, settings.bindings).items():
+            advice = f"only this keeps calls of {' and '.join(actions)} apart: the domain would have them at the same time"
+            rows += (Readiness("resource", resource, "", ReadyState.READY, advice),)
     if as_json:
         options.print_json({"ready": all(row.state is ReadyState.READY for row in rows), "rows": [row.as_json() for row in rows]})
     else:

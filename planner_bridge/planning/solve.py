@@ -13,6 +13,7 @@ from dataclasses import replace
 from math import inf
 from typing import TYPE_CHECKING, Final
 
+from planner_bridge.model.exclusive_resources import with_turns
 from planner_bridge.model.grounding import initial_knowledge
 from planner_bridge.model.plan import CancelToken, Plan, PlanningResult
 from planner_bridge.model.problem import TOTAL_TIME, Problem
@@ -62,7 +63,7 @@ def solve(
             a share of the time that the plan is expected to take.
         cancel: set from another thread to end the search.
         executor: runs the planners of a portfolio; a process pool by default.
-        bindings: say how long actions take, where the domain does not.
+        bindings: say how long actions take, where the domain does not, and which resources they need for themselves.
         learned: say how long they take, and how often they succeed, by what has happened.
 
     Raises:
@@ -78,10 +79,11 @@ def solve(
         from planner_bridge.planning.portfolio import solve_with_portfolio  # here, because most searches use one planner
 
         members = None if planner == PORTFOLIO else _portfolio_members(planner)
-        found = solve_with_portfolio(problem, planners=members, timeout=timeout, executor=executor, cancel=stop)
+        found = solve_with_portfolio(with_turns(problem, bindings), planners=members, timeout=timeout, executor=executor, cancel=stop)
         return reduced(problem, found, until=until, rates=rates)
-    parsed = parse_for_kairos(problem, rates) if planner == DEFAULT_PLANNER else None  # once, for its search and its validator
-    found = search(problem, planner, timeout, stop, improve=improve, parsed=parsed, rates=rates)
+    asked = with_turns(problem, bindings)
+    parsed = parse_for_kairos(asked, rates) if planner == DEFAULT_PLANNER else None  # once, for its search and its validator
+    found = search(asked, planner, timeout, stop, improve=improve, parsed=parsed, rates=rates)
     return reduced(problem, validated(problem, found, parsed), parsed, until=until, rates=rates)
 
 
