@@ -123,7 +123,15 @@ def plan(
     bound = bindings_for(domain, bindings, loaded.vocabulary)
     thought = _IMPROVE if improve is None and (loaded.is_timed or loaded.metric) else improve
     with options.searching(planner, planner_timeout):
-        result = solve(loaded, planner=planner, timeout=planner_timeout, improve=thought, bindings=bound, learned=rates_for(domain, rates))
+        learned = rates_for(domain, rates)
+        result = solve(loaded, planner=planner, timeout=planner_timeout, improve=thought, bindings=bound, learned=learned)
+    odds = None
+    if result.plan is not None and learned.calls:
+        from planner_bridge.pipeline.roll_outs import odds_of_goal
+        from planner_bridge.tasks.settings import Settings
+        from pnm.actions.faults import NO_FAULTS
+
+        odds = odds_of_goal(loaded, result.plan, Settings(bindings=bound), NO_FAULTS, learned, seconds=0.0)
     if as_json:
         steps = [
             {"action": step.action, "arguments": [*step.arguments], "start": round(step.start, 6), "duration": round(step.duration, 6)}
@@ -131,7 +139,8 @@ def plan(
         ]
         plan = result.plan
         found = {"cost": plan.cost, "expected_seconds": plan.seconds, "is_best": plan.is_best} if plan else {}
-        fields = {"status": result.status.value, "message": result.message, "planner": result.planner, **found}
+        fields: dict[str, object] = {"status": result.status.value, "message": result.message, "planner": result.planner, **found}
+        fields |= {"odds": odds.as_json()} if odds else {}
         options.print_json({**fields, "steps": steps if result.plan else None})
     elif result.plan is None:
         from planner_bridge.cli.console import SafeConsole  # here and below: a plan alone needs neither rich nor pictures
@@ -147,6 +156,8 @@ def plan(
         lines = [f"plan     {result.plan}"]
         if result.planner != planner:
             lines.append(f"planner  {result.planner}")
+        if odds and odds.best:
+            lines.append(f"odds     {odds}")
         if result.message:
             lines.append(f"note     {result.message}")
         if improve is None and planner == DEFAULT_PLANNER and result.plan.steps and not result.plan.is_best:

@@ -20,16 +20,16 @@ from planner_bridge.cli.run_console import ConsoleObserver, print_result
 from planner_bridge.pipeline.achieve import Actions, achieve
 from planner_bridge.pipeline.carry_out import carry_out
 from planner_bridge.pipeline.loading import RATES, bindings_for, rates_for
+from planner_bridge.pipeline.roll_outs import VettedPlan, odds_of_plan
 from planner_bridge.planning.solve import check_planner
 from planner_bridge.tasks.replanning import Limits
 from planner_bridge.tasks.result import Stopwatch, TaskResult
 from planner_bridge.tasks.settings import Settings, TaskObserver
 from planner_bridge.view.serving import Controlled, Operator, PageProcess
-from pnm.actions.bindings_file import read_bindings
 from pnm.clock import run_async
 from pnm.core.execution.events import broadcast
 from pnm.core.machine.machine import OnFailure
-from pnm.errors import InputError
+from pnm.errors import InputError, PnmError
 from pnm.files.database.place import Place, without_password
 from pnm.journal.kept import DURABILITIES, JournalChoice
 from pnm.knowledge.sensor_file import read_sensing
@@ -49,6 +49,7 @@ from pnm.tasks import Code, Tasks
 @options.knowledge_option
 @options.sensing_option
 @options.planning
+@click.option("--odds", "least", type=click.FloatRange(0.0, 1.0), help="begin only with this chance of the goal at least, such as 0.95")
 @click.option("--sim-time", is_flag=True, help="follow /clock, like nodes with use_sim_time: a paused simulation pauses all limits")
 @click.option("--replans", type=click.IntRange(0), default=100, show_default=True, help="new machines after the first, at most")
 @click.option(
@@ -95,6 +96,7 @@ def run(
     planner: str,
     planner_timeout: float,
     improve: float | None,
+    least: float | None,
     sim_time: bool,
     replans: int,
     without_progress: int,
@@ -138,18 +140,24 @@ def run(
     controlled = options.controlled_by(view, Controlled.RUN, controls=controls)
     console, stopwatch = SafeConsole(), Stopwatch()
     begin: Callable[..., TaskResult]
+    vetted: VettedPlan | None = None
     learned = rates or (chosen if isinstance(chosen, Path) else chosen[0]).parent / RATES if learns else None
     with looked_at(choice, view, timeline, learned, controlled, force=force) as (kept, page):
         if isinstance(chosen, Path):
             check_planner(planner)  # now, not when a plan is given up that took an hour
-            settings = replace(settings, bindings=read_bindings(bindings) if bindings else settings.bindings)
+            settings = replace(settings, bindings=bindings_for(None, bindings, None))
             settings = replace(settings, sensing=read_sensing(sensing) if sensing else settings.sensing)
+            parameters, going_wrong = options.plan_parameters(given), options.faults_in(faults, None)
+            if least is not None:
+                odds = odds_of_plan(chosen, name, parameters, settings, going_wrong, rates_for(None, rates))
+                if refusal := odds.refusal(least):
+                    raise PnmError(f"the plan is not begun: {refusal}")
             begin = partial(
                 carry_out,
                 chosen,
                 name,
-                options.plan_parameters(given),
-                faults=options.faults_in(faults, None),
+                parameters,
+                faults=going_wrong,
                 on_failure=policy,
                 knowledge=knowledge,
                 answers=options.named_values(answers, "--answer"),
@@ -160,11 +168,14 @@ def run(
                 loaded = options.problem_in(*chosen)
                 sensors = read_sensing(sensing, loaded.vocabulary) if sensing else NO_SENSING
                 settings = replace(settings, bindings=bindings_for(chosen[0], bindings, loaded.vocabulary), sensing=sensors)
-                settings = replace(settings, learned=rates_for(chosen[0], rates, grows=learns))
-                begin = partial(achieve, None, loaded, faults=options.faults_in(faults, loaded.vocabulary), stopwatch=stopwatch)
-        with observed(output, console, settings, actions, page) as observer:
+                going_wrong, known = options.faults_in(faults, loaded.vocabulary), rates_for(chosen[0], rates, grows=learns)
+                settings = replace(settings, learned=known)
+                if (vetted := VettedPlan.where_known(settings, going_wrong, known, least)) is not None:
+                    settings = replace(settings, memory=vetted)
+                begin = partial(achieve, None, loaded, faults=going_wrong, stopwatch=stopwatch)
+        with observed(output, console, settings, actions, page, vetted) as observer:
             result = begin(actions=actions, settings=settings, observer=observer, journal=kept)
-        return print_ending(result, console, output, page)
+        return print_ending(result, console, output, page, vetted)
 
 
 class Output(Enum):
@@ -232,7 +243,7 @@ class _RunOnPage(TaskObserver):
 
 @contextmanager
 def observed(
-    output: Output, console: SafeConsole, settings: Settings, actions: Actions, page: PageProcess | None
+    output: Output, console: SafeConsole, settings: Settings, actions: Actions, page: PageProcess | None, vetted: VettedPlan | None = None
 ) -> Iterator[TaskObserver]:
     """Yield the printer of a task's events, or a listener that prints nothing, while this is entered; a page may control the task."""
     observers: list[TaskObserver] = [_RunOnPage(page)] if page else []
@@ -242,17 +253,20 @@ def observed(
     is_simulated = actions == "simulated"
     robots = "simulated here; --actions ros2 drives real ones" if is_simulated else "the action servers of ROS 2"
     awaited = "" if is_simulated else "missing action servers are waited for, 10 s at most"
-    printer = ConsoleObserver(console, settings.planner_timeout, robots=robots, awaited=awaited, is_verbose=output is Output.NUMBERS)
+    is_verbose = output is Output.NUMBERS
+    printer = ConsoleObserver(console, settings.planner_timeout, robots=robots, awaited=awaited, is_verbose=is_verbose, vetted=vetted)
     with closing(printer):
         if not is_simulated:
             printer.wait("ROS 2 is joined, and robots are heard, 14 s at most")
         yield broadcast(TaskObserver, [*observers, printer])
 
 
-def print_ending(result: TaskResult, console: SafeConsole, output: Output, page: PageProcess | None = None) -> int:
+def print_ending(
+    result: TaskResult, console: SafeConsole, output: Output, page: PageProcess | None = None, vetted: VettedPlan | None = None
+) -> int:
     """Print the result of a task, for people or as one JSON object; keep its page, unless it was cancelled; return the exit status."""
     if output is Output.JSON:
-        options.print_json(result.as_json())
+        options.print_json({**result.as_json(), **({"odds": vetted.odds.as_json()} if vetted and vetted.odds else {})})
     else:
         print_result(console, result)
     if page and result.code is not Code.CANCELLED:

@@ -14,6 +14,7 @@ from planner_bridge.cli.console import INDENT, EventLines, SafeConsole, ToldFail
 from planner_bridge.cli.options import planner_words, print_warnings, waiting
 from planner_bridge.model.plan import Plan, PlanningResult
 from planner_bridge.node.node_log import NodeObserver, standing_words
+from planner_bridge.pipeline.roll_outs import VettedPlan
 from planner_bridge.tasks.replanning import PlanAgain, ResumePlan, decision_words
 from planner_bridge.tasks.result import TaskResult, Violation
 from planner_bridge.tasks.settings import TaskObserver
@@ -56,14 +57,25 @@ class ConsoleObserver(TaskObserver):
         robots: who performs the actions; printed before the first event, if it is not empty.
         awaited: what is waited for between a plan and its machine, with the limit; empty for nothing.
         is_verbose: whether it prints how large machines are, and how they were proved.
+        vetted: has the odds of the first plan, if these are known.
 
     The mutable state is whether that was printed, the time from which seconds count, the spinner, by the numbers of calls their
     attempts, what was sent, why they are tried again and what is not printed yet, and what was printed of the failures of each action:
     the same is not printed again but at the end.
     """
 
-    def __init__(self, console: SafeConsole, limit: float, *, robots: str = "", awaited: str = "", is_verbose: bool = False) -> None:
+    def __init__(
+        self,
+        console: SafeConsole,
+        limit: float,
+        *,
+        robots: str = "",
+        awaited: str = "",
+        is_verbose: bool = False,
+        vetted: VettedPlan | None = None,
+    ) -> None:
         self._console = console
+        self._vetted = vetted
         self._limit = limit
         self._robots = robots
         self._awaited = awaited
@@ -110,6 +122,9 @@ class ConsoleObserver(TaskObserver):
             begins = _STEP.match(step)
             when = begins[0] if begins else ""
             self._console.print_text(step.removeprefix(when), when)
+        if self._vetted and self._vetted.odds and self._vetted.odds.best:
+            self._console.print_text(str(self._vetted.odds), "[bold]odds[/]     ")
+        self._vetted = None  # only the first plan has any
         if self._awaited:
             self.wait(self._awaited)
 

@@ -9,28 +9,30 @@ common: they are drawn from the chains, call by call, and carried along the orde
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from enum import Enum
-from itertools import islice
 from math import isinf, prod, sqrt
 from operator import add
 from random import Random
-from typing import Final, TypeAlias
+from typing import Any, Final, TypeAlias
 
 from planner_bridge.model.progression import NotApplicable, Progression, snapshot
-from pnm.actions.faults import FaultKind, Faults
+from planner_bridge.model.rates import Call, End, Rates
+from pnm.actions.faults import Fault, FaultKind, Faults
 from pnm.actions.simulated_robots import LAG, SLOWNESS
 from pnm.core.knowledge_base import KnowledgeBase
 from pnm.core.logic.conditions import evaluate
 from pnm.core.logic.effects import names_written
-from pnm.core.logic.expressions import Fluent, is_number
-from pnm.core.machine.bindings import Bindings
+from pnm.core.logic.expressions import Fluent, fluent_text, is_number
+from pnm.core.machine.bindings import Bindings, WhenLost
 from pnm.core.machine.failure_causes import Cause
 from pnm.core.machine.plan_graph import ActionCall, GroundAction, Moment, PlanEvent, PlanGraph, necessary
 
 DRAWS: Final = 1000
 """Draws of the time of a plan."""
+WEAKEST: Final = 3
+"""Calls that are named as the weakest, at most."""
 _INTERVAL_DRAWS: Final = 400
 """Draws of chances that were estimated."""
 _Z: Final = 1.959964
@@ -47,7 +49,7 @@ class Leads(Enum):
 
 
 @dataclass(frozen=True, slots=True)
-class Ending:
+class AttemptEnd:
     """One way in which an attempt may end.
 
     Args:
@@ -60,7 +62,7 @@ class Ending:
 
 
 @dataclass(frozen=True, slots=True)
-class Attempt:
+class AttemptOdds:
     """All ways in which an attempt may end.
 
     Args:
@@ -68,7 +70,7 @@ class Attempt:
         total: the number of attempts that the chances were estimated from; 0 if they are known.
     """
 
-    endings: tuple[Ending, ...]
+    endings: tuple[AttemptEnd, ...]
     rests: str
     total: float = 0.0
 
@@ -84,12 +86,14 @@ class Attempt:
     def draws(self, leads: Leads, random: Random, count: int) -> list[float]:
         """Draw the seconds of attempts that end so."""
         pairs = [(time, ending.chance * weight) for ending in self.endings if ending.leads is leads for time, weight in ending.seconds]
+        if len(pairs) == 1:
+            return [pairs[0][0]] * count
         times, weights = zip(*pairs, strict=True)
         return random.choices(times, weights, k=count)
 
 
-_CERTAIN: Final = Attempt((Ending(Leads.DONE, 1.0, ((0.0, 1.0),)),), "nothing: no server is needed")
-Attempts: TypeAlias = Callable[[GroundAction], Attempt | None]
+_CERTAIN: Final = AttemptOdds((AttemptEnd(Leads.DONE, 1.0, ((0.0, 1.0),)),), "nothing: no server is needed")
+Attempts: TypeAlias = Callable[[GroundAction], AttemptOdds | None]
 """What is known of the attempts of an action; None if they are not alike, or not independent of others."""
 
 
@@ -98,7 +102,7 @@ class CallOdds:
     """A call, what is known of each of its attempts, and how many more the budget pays for."""
 
     call: ActionCall
-    attempt: Attempt
+    attempt: AttemptOdds
     retries: int
 
     def chance(self, more: int = 0) -> float:
@@ -106,14 +110,17 @@ class CallOdds:
         return _success(self.attempt.chance(Leads.DONE), self.attempt.chance(Leads.AGAIN), self.retries + more)
 
     def draws(self, random: Random, count: int) -> list[float]:
-        """Draw the seconds of the call, given that it succeeds."""
+        """Draw the seconds of the call, given that it succeeds: in as many draws after each number of failures as is due to it."""
         lasted, again = self.attempt.draws(Leads.DONE, random, count), self.attempt.chance(Leads.AGAIN)
-        tries = range(self.retries + 1)
-        failed = random.choices(tries, [again**number for number in tries], k=count) if again else ()
-        if not any(failed):
+        if not (again and self.retries):
             return lasted
-        wasted = iter(self.attempt.draws(Leads.AGAIN, random, sum(failed)))
-        return [seconds + sum(islice(wasted, number)) if number else seconds for seconds, number in zip(lasted, failed, strict=True)]
+        before = [again**tries for tries in range(self.retries + 1)]
+        late = [int(count * sum(before[tries:]) / sum(before) + random.random()) for tries in range(1, self.retries + 1)]
+        places, wasted = random.sample(range(count), late[0]), iter(self.attempt.draws(Leads.AGAIN, random, sum(late)))
+        for number in late:  # of draws in which so many attempts fail, or more
+            for place in places[:number]:
+                lasted[place] += next(wasted)
+        return lasted
 
 
 def _success(done: float, again: float, retries: int) -> float:
@@ -152,13 +159,32 @@ class Odds:
         """The median of each number at the end, and what it lies between in 90 % of the runs."""
         return {one: (_quantile(every, 0.5), _quantile(every, 0.05), _quantile(every, 0.95)) for one, every in self.numbers.items()}
 
+    def as_json(self) -> dict[str, Any]:
+        """Return them as `pnm odds --json` prints them."""
+        times = {"median": self.time(0.5), "ninety_percent": self.time(0.9)} if self.times else None
+        numbers = {fluent_text(fluent): dict(zip(("median", "low", "high"), ends, strict=True)) for fluent, ends in self.ends.items()}
+        return {"chance": self.chance, "interval": [*self.interval], "runs": self.runs, "seconds": times, "numbers": numbers}
+
     @staticmethod
-    def estimated(reached: int, runs: int, times: Iterable[float], numbers: Mapping[Fluent, Iterable[float]]) -> Odds:
-        """Return the odds after runs of which some reached the goal, with the interval of Wilson (1927)."""
-        share, spread = reached / runs, _Z**2 / runs
-        middle, half = (share + spread / 2) / (1 + spread), sqrt(share * (1 - share) * spread + spread**2 / 4) / (1 + spread)
+    def estimated(
+        reached: int, counted: int, times: Iterable[float], numbers: Mapping[Fluent, Iterable[float]], runs: int, sure: float | None
+    ) -> Odds:
+        """Return the odds after runs, with the interval of Wilson (1927).
+
+        Args:
+            reached: runs that reached the goal, of those that are counted.
+            counted: all runs; those alone that needed a new plan, if the chance of needing none is known.
+            sure: that chance. The share of the others is estimated by Jeffreys' prior: there may be few of them, or none.
+        """
+        share = reached / counted if sure is None else (reached + 0.5) / (counted + 1.0)
+        low, high, sure = 0.0, 1.0, sure or 0.0
+        if counted:
+            seen, spread = reached / counted, _Z**2 / counted
+            middle, half = (seen + spread / 2) / (1 + spread), sqrt(seen * (1 - seen) * spread + spread**2 / 4) / (1 + spread)
+            low, high = max(0.0, middle - half), min(1.0, middle + half)
+        between = (sure + (1.0 - sure) * low, sure + (1.0 - sure) * high)
         ends = {fluent: tuple(sorted(values)) for fluent, values in numbers.items()}
-        return Odds(share, (max(0.0, middle - half), min(1.0, middle + half)), tuple(sorted(times)), ends, runs)
+        return Odds(sure + (1.0 - sure) * share, between, tuple(sorted(times)), ends, runs)
 
 
 def percent(chance: float) -> str:
@@ -198,11 +224,11 @@ def exact(graph: PlanGraph, calls: tuple[CallOdds, ...], knowledge: KnowledgeBas
     chance = prod(call.chance() for call in calls)
     after = sorted((fluent, value) for fluent, value in walk.state.facts().items() if is_number(value) and value != knowledge.value(fluent))
     numbers = {fluent: (float(value),) for fluent, value in after}
-    times = tuple(sorted(_times(graph, calls))) if chance else ()
-    return Odds(chance, _interval(calls) or (chance, chance), times, numbers if chance else {})
+    lasts = tuple(sorted(times(graph, calls))) if chance else ()
+    return Odds(chance, interval(calls) or (chance, chance), lasts, numbers if chance else {})
 
 
-def _interval(calls: tuple[CallOdds, ...]) -> tuple[float, float] | None:
+def interval(calls: tuple[CallOdds, ...]) -> tuple[float, float] | None:
     """Return what the chance lies between with 95 % if chances of attempts are estimates; None if none is.
 
     They are drawn from their Dirichlet distributions, once for all calls that rest on the same attempts.
@@ -226,22 +252,22 @@ def _interval(calls: tuple[CallOdds, ...]) -> tuple[float, float] | None:
     return _quantile(chances, 0.025), _quantile(chances, 0.975)
 
 
-def _times(graph: PlanGraph, calls: tuple[CallOdds, ...]) -> list[float]:
+def times(graph: PlanGraph, calls: tuple[CallOdds, ...]) -> list[float]:
     """Draw the time of the plan, with the same random numbers every time."""
     random = Random(0)
     waits: dict[PlanEvent, list[tuple[PlanEvent, float]]] = {}
     for ordering in necessary(graph.flow):
         waits.setdefault(ordering.after, []).append((ordering.before, ordering.delay))
-    times: dict[PlanEvent, list[float]] = {}
+    at: dict[PlanEvent, list[float]] = {}
     for event in graph.order:
+        before = [[time + delay for time in at[one]] if delay else at[one] for one, delay in waits.get(event, ())]
         odds = calls[event.call]
-        if event.moment is Moment.START:
-            own = [odds.call.earliest] * DRAWS
-        else:
-            own = list(map(add, times[PlanEvent(event.call, Moment.START)], odds.draws(random, DRAWS)))
-        before = [[time + delay for time in times[one]] if delay else times[one] for one, delay in waits.get(event, ())]
-        times[event] = list(map(max, own, *before)) if before else own
-    over = [times[event] for event in times if event.moment is Moment.END]
+        if event.moment is Moment.END:
+            before.append(list(map(add, at[PlanEvent(event.call, Moment.START)], odds.draws(random, DRAWS))))
+        elif odds.call.earliest or not before:
+            before.append([odds.call.earliest] * DRAWS)
+        at[event] = list(map(max, *before)) if len(before) > 1 else before[0]
+    over = [at[event] for event in at if event.moment is Moment.END]
     return list(map(max, [graph.due] * DRAWS, *over))
 
 
@@ -255,9 +281,9 @@ def declared(faults: Faults, bindings: Bindings, untimed: float) -> Attempts:
         untimed: seconds that an action without a duration takes there.
     """
 
-    def attempts(action: GroundAction) -> Attempt | None:
+    def attempts(action: GroundAction) -> AttemptOdds | None:
         lasts, limit = untimed if action.duration is None else action.duration, bindings.timeout(action)
-        left, endings = 1.0, list[Ending]()
+        left, endings = 1.0, list[AttemptEnd]()
         is_seen = bool(names_written(action.end_effects) - bindings.assumed)
         for fault in (fault for fault in faults.faults if fault.concerns(action)):
             if fault.after or fault.times is not None or fault.ignores_cancel:
@@ -276,8 +302,144 @@ def declared(faults: Faults, bindings: Bindings, untimed: float) -> Attempts:
                     leads, seconds = (Leads.DONE, lasts * SLOWNESS) if lasts * SLOWNESS <= limit else (Leads.AGAIN, limit)
                 case FaultKind.LOSE_SERVER:
                     return None
-            endings.append(Ending(leads, left * fault.chance, ((seconds, 1.0),)))
+            endings.append(AttemptEnd(leads, left * fault.chance, ((seconds, 1.0),)))
             left *= 1.0 - fault.chance
-        return Attempt((Ending(Leads.DONE, left, ((lasts, 1.0),)), *endings), "declared")
+        return AttemptOdds((AttemptEnd(Leads.DONE, left, ((lasts, 1.0),)), *endings), "declared")
 
     return (lambda _: None) if faults.changes else attempts
+
+
+def learned(rates: Rates, bindings: Bindings) -> Attempts:
+    """Return what is learned of the attempts of robots; what is not known of an action is assumed."""
+
+    def attempts(action: GroundAction) -> AttemptOdds:
+        call, endings = Call.of(action, bindings), list[AttemptEnd]()
+        chance, is_asked = rates.chance(call), bindings.of(action.name).when_lost is WhenLost.ABORT
+        for end in chance.weights:
+            leads = Leads.DONE if end is End.SUCCEEDED else Leads.AGAIN
+            if end is End.ABORTED_FOR_GOOD or (end is End.LOST and is_asked):
+                leads = Leads.FAILED
+            seconds = rates.seconds(call, action.duration, succeeded=leads is Leads.DONE).buckets
+            endings.append(AttemptEnd(leads, chance.of(end), tuple(seconds)))
+        return AttemptOdds(tuple(endings), str(chance.rests), sum(chance.weights.values()))
+
+    return attempts
+
+
+def played(attempts: Attempts) -> Faults:
+    """Return the faults of simulated robots whose attempts end so."""
+
+    def drawn(action: GroundAction, random: Random) -> Fault | None:
+        if (attempt := attempts(action)) is None:
+            return None
+        (ending,) = random.choices(attempt.endings, [one.chance for one in attempt.endings])
+        seconds, weights = zip(*ending.seconds, strict=True)
+        kind = FaultKind.SLOW if ending.leads is Leads.DONE else FaultKind.ABORT
+        return Fault(action.name, kind, seconds=random.choices(seconds, weights)[0], for_good=ending.leads is Leads.FAILED)
+
+    return Faults(drawn=drawn)
+
+
+# --- all that is known of a goal -----------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class GoalOdds:
+    """All that is known of the odds of a goal.
+
+    Args:
+        alone: if nothing is planned anew, exactly; None if calls depend on each other.
+        rolled: by roll-outs of the machine; None if there were none.
+        calls: of the plan, if they do not depend on each other.
+    """
+
+    alone: Odds | None
+    rolled: Odds | None
+    calls: tuple[CallOdds, ...] = ()
+
+    @property
+    def best(self) -> Odds | None:
+        """The odds that take most into account; None if there was no time for any."""
+        return self.rolled or self.alone
+
+    @property
+    def weakest(self) -> list[CallOdds]:
+        """The calls that may fail, the weakest first."""
+        return sorted((call for call in self.calls if call.chance() < 1.0), key=CallOdds.chance)
+
+    @property
+    def more_retries(self) -> dict[str, tuple[int, list[float]]]:
+        """The actions of the weakest calls with their retries, and the chance if nothing is planned anew with one or two more."""
+        gains: dict[str, tuple[int, list[float]]] = {}
+        for action in dict.fromkeys(call.call.action.name for call in self.weakest[:WEAKEST]) if self.alone and self.alone.chance else ():
+            retries = max(call.retries for call in self.calls if call.call.action.name == action)
+            more = [prod(call.chance(extra * (call.call.action.name == action)) for call in self.calls) for extra in (1, 2)]
+            gains[action] = retries, more
+        return gains
+
+    @property
+    def rests(self) -> dict[str, list[str]]:
+        """For everything that chances rest on, the actions whose chances do."""
+        found: dict[str, dict[str, None]] = {}
+        for call in self.calls:
+            found.setdefault(call.attempt.rests, {})[call.call.action.name] = None
+        return {rests: [*actions] for rests, actions in found.items()}
+
+    def refusal(self, least: float) -> str:
+        """Return why a plan does not begin that needs this chance at least; empty if it may."""
+        if self.best is not None and self.best.chance >= least:
+            return ""
+        return f"its odds are {self}; expected {percent(least)} at least"
+
+    def __str__(self) -> str:
+        if (best := self.best) is None:
+            return "not known"
+        without = "" if self.rolled else " if nothing is planned anew"
+        lasts = f", {best.time(0.5):.1f} s, {best.time(0.9):.1f} s at most in 90 % of the runs" if best.times else ""
+        return f"{percent(best.chance)}{without if best.chance < 1.0 else ''}{lasts}"
+
+    def lines(self) -> Iterator[str]:
+        """Yield them for people."""
+        head = "odds     "
+        if self.alone:
+            low, high = self.alone.interval
+            between = f", {percent(low)} to {percent(high)} by what chances rest on" if low < high else ""
+            yield f"{head}{percent(self.alone.chance)} if nothing is planned anew{between}"
+            head = " " * len(head)
+        if self.rolled:
+            low, high = self.rolled.interval
+            how = f"{percent(low)} to {percent(high)} by {self.rolled.runs} roll-outs"
+            yield f"{head}{percent(self.rolled.chance)}{' with new plans' if self.alone else ''}, {how}"
+        if (best := self.best) is None:
+            yield f"{head}not known: there was no time for a roll-out; expected more --seconds"
+            return
+        if best.times:
+            yield f"time     {best.time(0.5):.1f} s in half of the runs that reach the goal, {best.time(0.9):.1f} s at most in 90 % of them"
+        for fluent, (middle, low, high) in best.ends.items():
+            between = f", {low:g} to {high:g} in 90 % of the runs" if low < high else ""
+            yield f"number   {fluent_text(fluent)} is {middle:g} at the end{between}"
+        for rests, actions in self.rests.items():
+            yield f"chances  {rests}: {', '.join(actions)}"
+        for call in self.weakest[:WEAKEST]:
+            tries = f"{call.retries + 1} attempts" if call.retries else "1 attempt"
+            yield f"weakest  {percent(call.chance())} {call.call.action}: {tries} of {percent(call.attempt.chance(Leads.DONE))}"
+        for action, (retries, chances) in self.more_retries.items():
+            gains = ", ".join(f"{percent(chance)} with {retries + more}" for more, chance in enumerate(chances, 1))
+            yield f"retries  {action} has {retries}: {gains}, if nothing is planned anew"
+
+    def as_json(self) -> dict[str, Any]:
+        """Return them as `pnm odds --json` prints them."""
+        calls = [
+            {
+                "call": str(call.call.action),
+                "chance": call.chance(),
+                "attempts": call.retries + 1,
+                "chance_of_attempt": call.attempt.chance(Leads.DONE),
+                "rests_on": call.attempt.rests,
+            }
+            for call in self.weakest
+        ]
+        retries = [{"action": action, "retries": has, "chances": chances} for action, (has, chances) in self.more_retries.items()]
+        alone, rolled = (odds.as_json() if odds else None for odds in (self.alone, self.rolled))
+        best = self.best.chance if self.best else None
+        return {"chance": best, "alone": alone, "with_new_plans": rolled, "rests_on": self.rests, "weakest": calls, "retries": retries}

@@ -1,4 +1,7 @@
-"""Roll-outs: runs of the machine itself, with its recovery and its new plans, on simulated robots under virtual time."""
+"""The odds of a goal, or of a hand-written plan: exact where nothing is planned anew, else by roll-outs.
+
+Roll-outs are runs of the machine itself, with its recovery and its new plans, on simulated robots under virtual time.
+"""
 
 from __future__ import annotations
 
@@ -6,39 +9,104 @@ import time
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
+from planner_bridge.model.grounding import initial_knowledge
 from planner_bridge.model.plan import Plan, PlanningResult, PlanningStatus
 from planner_bridge.model.problem import Problem
+from planner_bridge.model.rates import NO_RATES, Rates
 from planner_bridge.model.world import simulated_backend
+from planner_bridge.ordering.plan_to_graph import plan_graph
 from planner_bridge.pipeline.carry_out import carry_out
 from planner_bridge.pipeline.goal_handle import GoalHandle
-from planner_bridge.pipeline.odds import Odds
-from planner_bridge.planning.solve import solve
+from planner_bridge.pipeline.odds import GoalOdds, Odds, declared, exact, learned, odds_of_calls, played
 from planner_bridge.tasks.result import Stopwatch, TaskResult
-from planner_bridge.tasks.settings import Settings, TaskObserver
-from pnm.actions.faults import Faults
+from planner_bridge.tasks.settings import Memory, ProvedMachine, Settings, TaskObserver
+from pnm.actions.faults import NO_FAULTS, Faults
 from pnm.clock import run_async
 from pnm.core.knowledge_base import KnowledgeBase
 from pnm.core.logic.expressions import Fluent, is_number
+from pnm.core.machine.plan_graph import PlanGraph
+from pnm.language.plan import chosen_plan, read_plans
 from pnm.tasks import Code
 
 SECONDS: Final = 2.0
 """Seconds of processor time for all roll-outs together."""
 MOST: Final = 2000
-"""Roll-outs, at most: the interval is 2 % wide then at worst."""
+"""Roll-outs, at most: the interval is 4 % wide then at worst."""
 
 
-def roll_outs(
-    run: Callable[[int], tuple[TaskResult, KnowledgeBase | None] | None], before: KnowledgeBase, seconds: float, most: int
+def odds_of_goal(
+    problem: Problem, plan: Plan, settings: Settings, faults: Faults, rates: Rates = NO_RATES, *, seconds: float = SECONDS, most: int = MOST
+) -> GoalOdds:
+    """Return the odds of a goal with this plan; what follows a failure is planned with the first plan that is found.
+
+    Args:
+        faults: of simulated robots, which declare the chances of attempts; without any, these are learned or assumed.
+        seconds: of the processor for roll-outs; 0 for none.
+        most: roll-outs.
+    """
+    bindings, graph = settings.bindings, plan_graph(problem, plan)
+    is_declared = faults != NO_FAULTS
+    attempts = declared(faults, bindings, 0.0 if problem.is_timed else 1.0) if is_declared else learned(rates, bindings)
+    calls = odds_of_calls(graph, bindings, attempts)
+    alone = None if calls is None else exact(graph, calls, initial_knowledge(problem))
+    if not seconds or (alone and (alone.chance == 1.0 or not settings.limits.replans)):
+        return GoalOdds(alone, None, calls or ())
+    world, memory = faults if is_declared else played(attempts), RememberedPlans(problem, plan, time.process_time() + seconds)
+    chosen = replace(settings, improve=0.0, memory=memory, ask_for_help=False)
+
+    def run(number: int) -> tuple[TaskResult, KnowledgeBase] | None:
+        backend = simulated_backend(problem, bindings, replace(world, seed=number))
+        result = run_async(GoalHandle(backend, problem, chosen, TaskObserver(), Stopwatch()).run(), virtual=True)
+        return None if memory.is_late else (result, backend.robots.world.truth)
+
+    sure = alone.chance if alone else None
+    return GoalOdds(alone, _rolled(run, initial_knowledge(problem), seconds, most, sure), calls or ())
+
+
+def odds_of_plan(
+    file: Path,
+    name: str | None,
+    parameters: Mapping[str, object],
+    settings: Settings,
+    faults: Faults,
+    rates: Rates = NO_RATES,
+    *,
+    seconds: float = SECONDS,
+) -> GoalOdds:
+    """Return the odds of a hand-written plan; people who are asked something do not answer. The rest is as in `odds_of_goal`."""
+    plans = read_plans(file)
+    plan = plans[chosen_plan(plans, name)]
+    bindings, is_declared = settings.bindings.before(plan.bindings), faults != NO_FAULTS
+    attempts = declared(faults, bindings, 1.0) if is_declared else learned(rates, bindings)
+    calls = odds_of_calls(plan.graph, bindings, attempts)
+    alone = None if calls is None else exact(plan.graph, calls, initial_knowledge(plan))
+    if alone or not seconds:  # without recoveries of its own nothing is planned anew
+        return GoalOdds(alone, None, calls or ())
+    world, chosen = faults if is_declared else played(attempts), replace(settings, ask_for_help=False)
+
+    def run(number: int) -> tuple[TaskResult, None]:
+        return carry_out(file, name, parameters, faults=replace(world, seed=number), settings=chosen), None
+
+    return GoalOdds(None, _rolled(run, KnowledgeBase(), seconds, MOST))
+
+
+def _rolled(
+    run: Callable[[int], tuple[TaskResult, KnowledgeBase | None] | None],
+    before: KnowledgeBase,
+    seconds: float,
+    most: int,
+    sure: float | None = None,
 ) -> Odds | None:
     """Return the odds by as many runs as there is time for; None if there is none for a single one.
 
     Args:
         run: carries a run out, given its seed, and returns its result and the world after it; None if its time was not enough.
         before: the world before each.
+        sure: the chance that no new plan is needed, if it is known.
     """
-    until, reached, number = time.process_time() + seconds, list[float](), 0
+    until, reached, number, easy = time.process_time() + seconds, list[float](), 0, 0
     numbers: dict[Fluent, list[float]] = {}
     while number < most and time.process_time() < until and (ended := run(number)) is not None:
         number += 1
@@ -46,60 +114,81 @@ def roll_outs(
         if result.code is Code.CANCELLED:
             raise KeyboardInterrupt
         if result.goal_reached:
+            easy += sure is not None and not result.replans
             reached.append(max((call.ended - result.began for call in result.calls if call.ended is not None), default=0.0))
             for fluent, value in after.facts().items() if after else ():
                 if is_number(value) and (fluent in numbers or value != before.value(fluent)):
                     numbers.setdefault(fluent, []).append(float(value))
-    return Odds.estimated(len(reached), number, reached, numbers) if number else None
+    return Odds.estimated(len(reached) - easy, number - easy, reached, numbers, number, sure) if number else None
 
 
-def roll_outs_of_goal(
-    problem: Problem, plan: Plan, settings: Settings, faults: Faults, seconds: float = SECONDS, most: int = MOST
-) -> Odds | None:
-    """Return the odds of a goal by roll-outs that begin with this plan.
+class RememberedPlans(Memory):
+    """The memory of a plan of a problem, and of what was found after it. The mutable state is all that was found.
 
-    What follows a failure is planned with the first plan that is found, and once for all roll-outs in which the same is known.
+    Args:
+        until: when there is no time for searches any more, on the clock of the processor.
     """
-    until, found = time.process_time() + seconds, dict[frozenset[Any], list[tuple[Problem, PlanningResult]]]()
-    before = simulated_backend(problem, settings.bindings, faults).robots.world.truth
 
-    def run(number: int) -> tuple[TaskResult, KnowledgeBase] | None:
-        given, is_late = [PlanningResult(PlanningStatus.SOLVED, plan, planner=settings.planner)], False
+    def __init__(self, problem: Problem, plan: Plan, until: float) -> None:
+        self._until = until
+        first = PlanningResult(PlanningStatus.SOLVED, plan)
+        self._plans: dict[frozenset[object], list[tuple[Problem, PlanningResult]]] = {frozenset(problem.init.items()): [(problem, first)]}
+        self._machines: dict[int, list[tuple[PlanGraph, ProvedMachine]]] = {}
+        self.is_late = False
+        """Whether a search was ended because there was no time left."""
 
-        def planned(now: Problem, *, timeout: float, **options: Any) -> PlanningResult:
-            nonlocal is_late
-            if given:
-                return given.pop()
-            alike = found.setdefault(frozenset(now.init.items()), [])
-            for other, result in alike:
-                if other == now and other.unknown == now.unknown:
-                    return result
-            left = until - time.process_time()
-            result = solve(now, timeout=max(0.01, min(timeout, left)), **options)
-            is_late = left < timeout and result.status is PlanningStatus.TIMED_OUT
-            alike.append((now, result))
+    def plan(self, problem: Problem, timeout: float, search: Callable[[float], PlanningResult]) -> PlanningResult:
+        """Return the plan that was found for the same problem, or what the search finds in the time that is left."""
+        alike = self._plans.setdefault(frozenset(problem.init.items()), [])
+        for other, known in alike:
+            if other == problem and other.unknown == problem.unknown:
+                return known
+        left = self._until - time.process_time()
+        result = search(max(0.01, min(timeout, left)))
+        self.is_late = left < timeout and result.status is PlanningStatus.TIMED_OUT
+        alike.append((problem, result))
+        return result
+
+    def machine(self, graph: PlanGraph, prove: Callable[[], ProvedMachine]) -> ProvedMachine:
+        """Return the machine of a plan that was proved before, or is now."""
+        alike = self._machines.setdefault(len(graph.calls), [])
+        for other, known in alike:
+            if other == graph:
+                return known
+        alike.append((graph, prove()))
+        return alike[-1][1]
+
+
+class VettedPlan(Memory):
+    """Looks at the odds of the first plan of a task, before anything of it has begun. The mutable state is these odds.
+
+    Args:
+        settings: those of the task.
+        least: the least chance with which it begins; None for any, and then there are no roll-outs.
+    """
+
+    def __init__(self, settings: Settings, faults: Faults, rates: Rates, least: float | None) -> None:
+        self._settings = settings
+        self._faults = faults
+        self._rates = rates
+        self._least = least
+        self.odds: GoalOdds | None = None
+
+    @staticmethod
+    def where_known(settings: Settings, faults: Faults, rates: Rates, least: float | None) -> VettedPlan | None:
+        """Return one for a task with these settings; None if no chance is asked for, and none is known."""
+        is_known = faults != NO_FAULTS or rates != NO_RATES
+        return None if least is None and not is_known else VettedPlan(settings, faults, rates, least)
+
+    def plan(self, problem: Problem, timeout: float, search: Callable[[float], PlanningResult]) -> PlanningResult:
+        """Return what the search finds; no plan, and why, if the odds of the first one are too low."""
+        result = search(timeout)
+        if result.plan is None or self.odds is not None:
             return result
-
-        backend = simulated_backend(problem, settings.bindings, replace(faults, seed=number))
-        chosen = replace(settings, improve=0.0, solver=planned)
-        result = run_async(GoalHandle(backend, problem, chosen, TaskObserver(), Stopwatch()).run(), virtual=True)
-        return None if is_late else (result, backend.robots.world.truth)
-
-    return roll_outs(run, before, seconds, most)
-
-
-def roll_outs_of_plan(
-    file: Path,
-    name: str | None,
-    parameters: Mapping[str, object],
-    settings: Settings,
-    faults: Faults,
-    seconds: float = SECONDS,
-    most: int = MOST,
-) -> Odds | None:
-    """Return the odds of a hand-written plan by roll-outs; people who are asked something do not answer."""
-
-    def run(number: int) -> tuple[TaskResult, None]:
-        return carry_out(file, name, parameters, faults=replace(faults, seed=number), settings=settings), None
-
-    return roll_outs(run, KnowledgeBase(), seconds, most)
+        seconds = 0.0 if self._least is None else SECONDS
+        odds = odds_of_goal(problem, result.plan, self._settings, self._faults, self._rates, seconds=seconds)
+        if self._least is not None and (refusal := odds.refusal(self._least)):
+            message = f"one was found, and is not begun: {refusal}"
+            return PlanningResult(PlanningStatus.NO_PLAN, message=message, planner=result.planner)
+        self.odds = odds
+        return result

@@ -16,7 +16,7 @@ from planner_bridge.ordering.plan_to_graph import plan_graph
 from planner_bridge.tasks.constraint_monitor import TaskMonitor
 from planner_bridge.tasks.context import Conflict, TaskContext
 from planner_bridge.tasks.control import TaskEnded
-from planner_bridge.tasks.plan_execution import PlanExecution, ProvedMachine, proved_machine
+from planner_bridge.tasks.plan_execution import PlanExecution, proved_machine
 from planner_bridge.tasks.plan_search import NoPlan, PlanSearch
 from planner_bridge.tasks.replanning import (
     Decision,
@@ -41,6 +41,7 @@ from planner_bridge.tasks.result import (
     restored_log,
     retry_reason,
 )
+from planner_bridge.tasks.settings import ProvedMachine
 from pnm.core.execution.call_results import RunResult
 from pnm.core.execution.handover import UnderWay
 from pnm.core.logic.conditions import evaluate

@@ -5,15 +5,16 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Mapping
 from dataclasses import replace
+from functools import partial
 from types import TracebackType
-from typing import Any, Final, TypeAlias
+from typing import Any, Final
 
 from planner_bridge.ordering.interference import Forecast, ReadWriteSets, forecast, read_write_sets
 from planner_bridge.tasks.constraint_monitor import TaskMonitor
 from planner_bridge.tasks.context import TaskContext
 from planner_bridge.tasks.replanning import Progress, why_not
 from planner_bridge.tasks.result import TaskLog
-from planner_bridge.tasks.settings import OnChange
+from planner_bridge.tasks.settings import OnChange, ProvedMachine
 from pnm.core.execution.call_results import Failure, RunResult
 from pnm.core.execution.events import Observer, broadcast
 from pnm.core.execution.handover import UnderWay
@@ -23,15 +24,13 @@ from pnm.core.knowledge_base import statement_text
 from pnm.core.logic.effects import names_written, possible_assignments
 from pnm.core.logic.expressions import Constant, Fluent, State, Unknown, Value, is_number
 from pnm.core.machine.generate import generate
-from pnm.core.machine.machine import PetriNetMachine
 from pnm.core.machine.plan_graph import PlanGraph
 from pnm.core.machine.requests import CallOutcome
-from pnm.core.machine.verification.verify import Proof, verify
+from pnm.core.machine.verification.verify import verify
 from pnm.executor import Executor
 from pnm.journal.replay import ReplayedRun
 from pnm.tasks import TaskState
 
-ProvedMachine: TypeAlias = tuple[PetriNetMachine, Proof]
 _NAMED: Final = 3
 """Facts of one report that are named; of others there is only their number."""
 
@@ -315,7 +314,7 @@ async def proved_machine(context: TaskContext, graph: PlanGraph) -> ProvedMachin
         prepare(machine)
         return machine, proof
 
-    return await context.control.in_thread(prove)
+    return await context.control.in_thread(partial(context.settings.memory.machine, graph, prove))
 
 
 def relevant(progress: Progress, changed: Mapping[Fluent, Value | Unknown]) -> dict[Fluent, Value | Unknown]:

@@ -408,17 +408,13 @@ class PlanSearch:
         settings = self._context.settings
         # The planner may not take longer than the task has left.
         timeout = max(0.01, min(settings.planner_timeout * share, self._monitor.limit.left))
-        return partial(
-            settings.solver or solve,
-            problem,
-            planner=settings.planner,
-            timeout=timeout,
-            improve=settings.improve,
-            cancel=stop,
-            executor=settings.executor,
-            bindings=settings.bindings,
-            learned=settings.learned,
-        )
+        planner, improve, executor = settings.planner, settings.improve, settings.executor
+        told = partial(solve, problem, bindings=settings.bindings, learned=settings.learned)
+
+        def search(limit: float) -> PlanningResult:
+            return told(planner=planner, timeout=limit, improve=improve, cancel=stop, executor=executor)
+
+        return partial(settings.memory.plan, problem, timeout, search)
 
 
 def _needed(now: Problem, plan: Plan, under_way: list[ActionCall]) -> Footprint:

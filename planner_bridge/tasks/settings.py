@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from enum import Enum
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeAlias
 
 from planner_bridge.model.plan import Plan, PlanningResult
+from planner_bridge.model.problem import Problem
 from planner_bridge.model.rates import NO_RATES, Rates
 from planner_bridge.planning.kairos import DEFAULT_PLANNER
 from planner_bridge.tasks.replanning import Limits, PlanAgain, ResumePlan
@@ -16,6 +17,7 @@ from pnm.core.execution.call_results import RunResult
 from pnm.core.execution.events import Observer
 from pnm.core.machine.bindings import Bindings
 from pnm.core.machine.machine import OnFailure, PetriNetMachine
+from pnm.core.machine.plan_graph import PlanGraph
 from pnm.core.machine.verification.verify import Proof
 from pnm.errors import InputError, check_kinds, check_seconds
 from pnm.knowledge.sensor_model import NO_SENSING, Sensing
@@ -74,6 +76,21 @@ class OnChange(Enum):
     """The moment at which a call needs them, and fails."""
 
 
+ProvedMachine: TypeAlias = tuple[PetriNetMachine, Proof]
+
+
+class Memory:
+    """The memory of runs of one problem: this one keeps nothing; others have what one run has found for the next."""
+
+    def plan(self, problem: Problem, timeout: float, search: Callable[[float], PlanningResult]) -> PlanningResult:
+        """Return a plan that is remembered, or what the search finds within the limit."""
+        return search(timeout)
+
+    def machine(self, graph: PlanGraph, prove: Callable[[], ProvedMachine]) -> ProvedMachine:
+        """Return the machine of a plan, remembered or proved now."""
+        return prove()
+
+
 @dataclass(frozen=True)
 class Settings:
     """The ways to pursue a task."""
@@ -94,10 +111,10 @@ class Settings:
     """Whether a person is asked when the task cannot go on: at the terminal, or over ROS 2 topics where there is none."""
     sim_time: bool = False
     """Whether time is that of a simulation, from ``/clock``; with the action servers of ROS 2 only."""
-    solver: Callable[..., PlanningResult] | None = None
-    """Searches for plans in place of `planner_bridge.planning.solve.solve`, with the same arguments."""
     learned: Rates = NO_RATES
     """How long calls take, and how often they succeed, by what has happened; plans are measured by that."""
+    memory: Memory = field(default_factory=Memory)
+    """What it knows of other runs of the same problem."""
 
     def __post_init__(self) -> None:
         """Refuse what has another meaning than it seems to have, such as a name in place of what it names."""

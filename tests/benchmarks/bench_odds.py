@@ -1,9 +1,10 @@
 """Calibration of odds: forecasts of runs on simulated robots with random faults, against one run of each. Not a test.
 
-usage: python -m tests.benchmarks.bench_odds [--runs N] [--seconds S] [--seed N] [--json FILE]
+usage: python -m tests.benchmarks.bench_odds [--runs N] [--seconds S] [--taught K] [--seed N] [--json FILE]
 
-Each forecast is that of `pnm odds`: exact where no new plan is allowed, else by roll-outs of S seconds. The run that it is compared with
-has other random numbers. A perfect forecast of the same chances would have the Brier score in the last column on average.
+The chances of attempts are those that the faults declare; with --taught they are learned from the journals of K runs of each world,
+whose faults then stay the same. Each forecast is that of `pnm odds`: exact where no new plan is allowed, else by roll-outs of S seconds.
+The run that it is compared with has other random numbers. The second score is that of a perfect forecast of the same chances.
 """
 
 from __future__ import annotations
@@ -15,18 +16,19 @@ from dataclasses import replace
 from math import sqrt
 from pathlib import Path
 from random import Random
+from tempfile import TemporaryDirectory
 from typing import NamedTuple
 
-from planner_bridge.model.grounding import initial_knowledge
-from planner_bridge.ordering.plan_to_graph import plan_graph
+from planner_bridge.explanations.learning import learn
+from planner_bridge.model.problem import Problem
+from planner_bridge.model.rates import NO_RATES, Rates
 from planner_bridge.pddl import read_domain, read_problem
 from planner_bridge.pipeline.achieve import achieve
-from planner_bridge.pipeline.odds import declared, exact, odds_of_calls
-from planner_bridge.pipeline.roll_outs import roll_outs_of_goal
+from planner_bridge.pipeline.roll_outs import odds_of_goal
 from planner_bridge.planning.solve import solve
 from planner_bridge.tasks.replanning import Limits
 from planner_bridge.tasks.settings import Settings
-from pnm.actions.faults import Fault, FaultKind, Faults
+from pnm.actions.faults import NO_FAULTS, Fault, FaultKind, Faults
 from pnm.core.machine.bindings import Binding, Bindings
 from tests.support.files import ROOT
 
@@ -45,38 +47,66 @@ class Forecast(NamedTuple):
     """The share of the forecast times below that of the run; None if it did not reach the goal."""
 
 
-def forecast(world: str, random: Random, seconds: float) -> Forecast | None:
-    """Return the forecast of a run with random faults, retries and limits; None if there was no time for one."""
+class Scene(NamedTuple):
+    """A world in which robots fail, and what is known of that beforehand."""
+
+    world: str
+    problem: Problem
+    faults: Faults
+    rates: Rates | None
+    """Learned ones; None if the faults are known."""
+
+
+def scene(world: str, random: Random, taught: int) -> Scene:
+    """Return a world with random faults; `taught` runs in it teach their rates, if there are any."""
     folder, name = world.split("/")
     problem = read_problem(ROOT / "problems" / folder / f"{name}.pddl", read_domain(ROOT / "domains" / folder / "domain.pddl"))
-    found = solve(problem, improve=0.0).plan
-    assert found is not None
     kinds, worst = (FaultKind.ABORT, FaultKind.REJECT, FaultKind.NO_EFFECT, FaultKind.HANG), random.uniform(0.0, 0.6)
     faults = Faults(tuple(Fault(action, random.choice(kinds), chance=random.uniform(0.0, worst)) for action in problem.domain.actions))
+    rates = NO_RATES
+    with TemporaryDirectory() as kept:
+        for number in range(taught):
+            place = Path(kept) / f"{number}.journal"
+            achieve(None, problem, faults=replace(faults, seed=3 * _LATER + number), settings=settings(problem, random), journal=place)
+            rates = learn(place, rates)
+    return Scene(world, problem, faults, rates if taught else None)
+
+
+def settings(problem: Problem, random: Random) -> Settings:
+    """Return settings with random retries and limits."""
     bindings = Bindings({action: Binding(retries=random.randint(0, 2)) for action in problem.domain.actions})
-    settings = Settings(improve=0.0, bindings=bindings, limits=Limits(replans=random.choice((0, 0, 2, 10))))
-    graph = plan_graph(problem, found)
-    calls = odds_of_calls(graph, bindings, declared(faults, bindings, 0.0 if problem.is_timed else 1.0))
-    odds = exact(graph, calls, initial_knowledge(problem)) if calls and not settings.limits.replans else None
-    odds = odds or roll_outs_of_goal(problem, found, settings, faults, seconds)
+    return Settings(improve=0.0, bindings=bindings, limits=Limits(replans=random.choice((0, 0, 2, 10))))
+
+
+def forecast(given: Scene, random: Random, seconds: float) -> Forecast | None:
+    """Return the forecast of a run; None if there was no time for one."""
+    found, chosen = solve(given.problem, improve=0.0).plan, settings(given.problem, random)
+    assert found is not None
+    known = (given.faults, NO_RATES) if given.rates is None else (NO_FAULTS, given.rates)
+    odds = odds_of_goal(given.problem, found, chosen, *known, seconds=seconds).best
     if odds is None:
         return None
-    result = achieve(None, problem, faults=replace(faults, seed=random.randint(_LATER, 2 * _LATER)), settings=settings)
+    result = achieve(None, given.problem, faults=replace(given.faults, seed=random.randint(_LATER, 2 * _LATER)), settings=chosen)
     took = max((call.ended - result.began for call in result.calls if call.ended is not None), default=0.0)
+    took *= 0.98  # learned seconds are within 1 % of what was measured
     below = sum(time < took for time in odds.times) / len(odds.times) if odds.times and result.goal_reached else None
-    return Forecast(world, odds.chance, result.goal_reached, below)
+    return Forecast(given.world, odds.chance, result.goal_reached, below)
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(prog="python -m tests.benchmarks.bench_odds", description="the calibration of odds")
     parser.add_argument("--runs", type=int, default=200, metavar="N", help="forecasts, each with a run")
     parser.add_argument("--seconds", type=float, default=0.5, metavar="S", help="processor seconds for the roll-outs of each")
+    parser.add_argument(
+        "--taught", type=int, default=0, metavar="K", help="runs that teach the rates of each world; 0: faults are declared"
+    )
     parser.add_argument("--seed", type=int, default=0, metavar="N", help="of the random faults")
     parser.add_argument("--json", type=Path, metavar="FILE", help="keep every forecast")
     arguments = parser.parse_args()
     random = Random(arguments.seed)
-    made = (forecast(WORLDS[number % len(WORLDS)], random, arguments.seconds) for number in range(arguments.runs))
-    forecasts = [one for one in made if one is not None]
+    fixed = [scene(world, random, arguments.taught) for world in WORLDS] if arguments.taught else []
+    scenes = (fixed[number % len(WORLDS)] if fixed else scene(WORLDS[number % len(WORLDS)], random, 0) for number in range(arguments.runs))
+    forecasts = [one for given in scenes if (one := forecast(given, random, arguments.seconds)) is not None]
     if arguments.json:
         arguments.json.write_text(json.dumps([one._asdict() for one in forecasts]) + "\n", encoding="utf-8")
     print(summary(forecasts))

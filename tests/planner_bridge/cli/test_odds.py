@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 
+from planner_bridge.model.rates import Call, Counts, End, Rates, Times
 from tests.support.e2e.command_line import pnm, result
 from tests.support.files import ROOT
 
@@ -65,3 +66,37 @@ def test_no_plan_has_no_odds_and_options_of_the_other_kind_are_refused(tmp_path:
     problem = tmp_path / "p.pddl"
     problem.write_text(Path(PATROL[1]).read_text().replace("(:goal", "(:goal (at r1 nowhere))\n(:ignored"))
     assert pnm("odds", PATROL[0], str(problem)).returncode != 0
+
+
+def test_a_run_says_its_odds_and_does_not_begin_below_those_that_are_asked_for(slippery: str, tmp_path: Path) -> None:
+    told = pnm("run", *PATROL, "--faults", slippery)
+    assert "odds     31.6 % if nothing is planned anew, 7.5 s" in told.stdout
+    low = result(pnm("run", *PATROL, "--faults", slippery, "--replans", "0", "--odds", "0.5", "--json"))
+    assert (low["goal_reached"], low["calls"]) == (False, [])
+    assert low["reason"].startswith("no plan: one was found, and is not begun: its odds are 31.6 % if nothing is planned anew")
+    assert low["reason"].endswith("; expected 50.0 % at least")
+    enough = result(pnm("run", *PATROL, "--faults", slippery, "--replans", "0", "--odds", "0.3", "--json"))
+    assert enough["calls"]
+    assert enough["odds"]["chance"] == pytest.approx(0.75**4)
+    plan = tmp_path / "plan.yaml"
+    plan.write_text(PLAN)
+    refused = pnm("run", "--plan", str(plan), "--odds", "0.9")
+    assert refused.returncode == 1
+    assert refused.stderr.startswith("the plan is not begun: its odds are 81.0 %")
+    assert pnm("run", "--plan", str(plan), "--odds", "0.8").returncode == 0
+
+
+def test_learned_rates_beside_the_domain_are_used(tmp_path: Path) -> None:
+    domain, problem = tmp_path / "domain.pddl", tmp_path / "problem.pddl"
+    for file, text in ((domain, PATROL[0]), (problem, PATROL[1])):
+        file.write_text(Path(text).read_text())
+    assert "odds" not in result(pnm("plan", str(domain), str(problem), "--json"))
+    assert result(pnm("odds", str(domain), str(problem), "--replans", "0", "--json"))["rests_on"] == {"assumed": ["move", "inspect"]}
+    ends = {End.SUCCEEDED: 90, End.ABORTED: 10}
+    rates = Rates({Call(action, action): Counts(ends, Times({50: 90}, 300_000)) for action in ("move", "inspect")}, {"0": 1})
+    (tmp_path / "rates.yaml").write_text(rates.text())
+    odds = result(pnm("plan", str(domain), str(problem), "--json"))["odds"]
+    assert odds["rests_on"] == {"learned from 100 of move": ["move"], "learned from 100 of inspect": ["inspect"]}
+    low, high = odds["alone"]["interval"]
+    assert low < odds["chance"] < high
+    assert f"odds     {100 * odds['chance']:.1f} % if nothing is planned anew" in pnm("plan", str(domain), str(problem)).stdout

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from math import prod, sqrt
+from math import sqrt
+from pathlib import Path
 from random import Random
 
 import numpy as np
@@ -11,10 +12,24 @@ import pytest
 from hypothesis import given, settings, strategies as st
 
 from planner_bridge.model.grounding import initial_knowledge
+from planner_bridge.model.plan import Plan
 from planner_bridge.model.problem import Problem
+from planner_bridge.model.rates import Call, Counts, End, Rates, Times
 from planner_bridge.ordering.plan_to_graph import plan_graph
-from planner_bridge.pipeline.odds import Attempt, CallOdds, Ending, Leads, Odds, declared, exact, odds_of_calls, percent
-from planner_bridge.pipeline.roll_outs import roll_outs_of_goal
+from planner_bridge.pipeline.odds import (
+    AttemptEnd,
+    AttemptOdds,
+    CallOdds,
+    Leads,
+    Odds,
+    declared,
+    exact,
+    learned,
+    odds_of_calls,
+    percent,
+    played,
+)
+from planner_bridge.pipeline.roll_outs import odds_of_goal
 from planner_bridge.planning.solve import solve
 from planner_bridge.tasks.replanning import Limits
 from planner_bridge.tasks.settings import Settings
@@ -27,9 +42,9 @@ from tests.support.pddl.vans import vans
 chances = st.floats(0.0, 1.0)
 
 
-def attempt(done: float, again: float) -> Attempt:
+def attempt(done: float, again: float) -> AttemptOdds:
     kinds = zip(Leads, (done, again, max(0.0, 1.0 - done - again)), (3.0, 1.0, 2.0), strict=True)
-    return Attempt(tuple(Ending(leads, chance, ((seconds, 1.0),)) for leads, chance, seconds in kinds), "declared")
+    return AttemptOdds(tuple(AttemptEnd(leads, chance, ((seconds, 1.0),)) for leads, chance, seconds in kinds), "declared")
 
 
 @st.composite
@@ -54,7 +69,7 @@ def series(length: int, seed: int) -> tuple[PlanGraph, Faults, Bindings]:
     random, steps = Random(seed), range(length)
     calls = tuple(ActionCall(number, GroundAction(f"a{number % 4}", (str(number),), duration=2.0)) for number in steps)
     orderings = tuple(Ordering(PlanEvent(number, Moment.END), PlanEvent(number + 1, Moment.START)) for number in steps[:-1])
-    faults = tuple(Fault(str(call.action), FaultKind.ABORT, chance=random.uniform(0.0, 0.3)) for call in calls)
+    faults = tuple(Fault(str(call.action), FaultKind.ABORT, chance=random.uniform(0.0, 0.05)) for call in calls)
     return PlanGraph(calls, orderings), Faults(faults), Bindings({f"a{retries}": Binding(retries=retries) for retries in range(4)})
 
 
@@ -92,6 +107,24 @@ def test_the_chance_of_200_calls_is_that_of_the_linear_equations_of_their_chain(
     assert odds_of(*plan).chance == pytest.approx(np.linalg.solve(np.eye(inner) - among, out)[0], abs=1e-9)
 
 
+def test_the_chance_of_200_calls_is_that_of_a_model_checker(tmp_path: Path) -> None:
+    storm = pytest.importorskip("stormpy")
+    plan = series(200, 2)
+    moves = chain(*plan)
+    goal = max(state for state, _, _ in moves) + 1
+    moves += [(goal, goal, 1.0), (goal + 1, goal + 1, 1.0)]
+    lines = ["@type: DTMC", "@parameters", "", "@reward_models", "", "@nr_states", f"{goal + 2}", "@nr_choices", f"{goal + 2}", "@model"]
+    labels = {0: "init", goal: "goal"}
+    for state in range(goal + 2):
+        lines += [f"state {state} {labels.get(state, '')}", "\taction 0"]
+        lines += [f"\t\t{after} : {chance!r}" for before, after, chance in moves if before == state]
+    file = tmp_path / "chain.drn"
+    file.write_text("\n".join((*lines, "")))
+    model = storm.build_model_from_drn(str(file))
+    result = storm.model_checking(model, storm.parse_properties('P=? [F "goal"]')[0])
+    assert odds_of(*plan).chance == pytest.approx(result.get_value(model.initial_states[0]), abs=1e-9)
+
+
 def test_what_never_fails_is_certain_and_takes_as_long_as_it_is_long() -> None:
     graph, _, bindings = series(20, 1)
     odds = odds_of(graph, NO_FAULTS, bindings)
@@ -115,40 +148,75 @@ WORLDS = (
 @settings(max_examples=6, deadline=None, derandomize=True)
 @given(st.sampled_from(WORLDS), st.sampled_from([*FaultKind][:5]), st.floats(0.05, 0.6), st.integers(0, 2))
 def test_exact_odds_are_those_of_runs_of_the_machine(problem: Problem, kind: FaultKind, chance: float, retries: int) -> None:
+    bindings = Bindings({name: Binding(retries=retries) for name in ("drive", "serve")})
+    declaring = Faults((Fault("drive", kind, chance=chance), Fault("serve", FaultKind.ABORT, chance=0.2)))
+    calls = odds_of_calls(graph_of(problem), bindings, declared(declaring, bindings, 0.0))
+    assert calls is not None
+    agree(exact(graph_of(problem), calls, initial_knowledge(problem)), rolled(problem, bindings, declaring, replans=0))
+
+
+def test_odds_of_learned_rates_are_those_of_robots_that_play_them() -> None:
+    problem, bindings = WORLDS[1], Bindings({"drive": Binding(retries=1)})
+    ends = {End.SUCCEEDED: 70, End.ABORTED: 20, End.ABORTED_FOR_GOOD: 5, End.REJECTED: 10}
+    counts = Counts(ends, Times({80: 30, 100: 40}, 350_000), Times({20: 35}, 60_000))
+    rates = Rates({Call("drive", "drive", ("v", "a", "b")): counts})
+    attempts = learned(rates, bindings)
+    calls = odds_of_calls(graph_of(problem), bindings, attempts)
+    assert calls is not None
+    odds = exact(graph_of(problem), calls, initial_knowledge(problem))
+    assert odds is not None
+    assert odds.interval[0] < odds.chance < odds.interval[1]
+    assert {call.attempt.rests for call in calls} == {"learned from 105 of drive", "assumed"}
+    agree(odds, rolled(problem, bindings, played(attempts), replans=0))
+
+
+def graph_of(problem: Problem) -> PlanGraph:
+    return plan_graph(problem, plan_of(problem))
+
+
+def plan_of(problem: Problem) -> Plan:
     found = solve(problem, improve=0.0).plan
     assert found is not None
-    bindings = Bindings({name: Binding(retries=retries) for name in ("drive", "serve")})
-    faults = Faults((Fault("drive", kind, chance=chance), Fault("serve", FaultKind.ABORT, chance=0.2)))
-    graph = plan_graph(problem, found)
-    calls = odds_of_calls(graph, bindings, declared(faults, bindings, 0.0))
-    assert calls is not None
-    odds = exact(graph, calls, initial_knowledge(problem))
+    return found
+
+
+def rolled(problem: Problem, bindings: Bindings, faults: Faults, *, replans: int) -> Odds:
+    """The odds by 150 runs, even where they are known exactly: the last fault never happens, and makes nothing exact."""
+    chosen = Settings(improve=0.0, bindings=bindings, limits=Limits(replans=replans))
+    never = replace(faults, faults=(*faults.faults, Fault("drive", FaultKind.ABORT, times=0)))
+    odds = odds_of_goal(problem, plan_of(problem), chosen, never, seconds=600.0, most=150).rolled
     assert odds is not None
-    limits = Limits(replans=0)
-    runs = roll_outs_of_goal(problem, found, Settings(improve=0.0, bindings=bindings, limits=limits), faults, 60.0, most=150)
-    assert runs is not None
-    assert runs.runs == 150
+    assert odds.runs == 150
+    return odds
+
+
+def agree(odds: Odds | None, runs: Odds) -> None:
+    assert odds is not None
     assert abs(runs.chance - odds.chance) <= 4.0 * sqrt(odds.chance * (1.0 - odds.chance) / runs.runs) + 1e-9
     mean = sum(odds.times) / len(odds.times)
     spread = sqrt(sum((time - mean) ** 2 for time in odds.times) / len(odds.times))
     if runs.times:
         assert abs(sum(runs.times) / len(runs.times) - mean) <= 4.0 * spread / sqrt(len(runs.times)) + 0.1
-    assert odds.chance == pytest.approx(prod(call.chance() for call in calls))
 
 
 def test_new_plans_raise_the_chance() -> None:
-    problem, bindings = WORLDS[0], Bindings({"drive": Binding(retries=0)})
-    found = solve(problem, improve=0.0).plan
-    assert found is not None
-    faults = Faults((Fault("drive", FaultKind.ABORT, chance=0.4),))
-    alone, many = (
-        roll_outs_of_goal(problem, found, Settings(improve=0.0, bindings=bindings, limits=Limits(replans=replans)), faults, 60.0, most=60)
-        for replans in (0, 10)
-    )
-    assert alone is not None
-    assert many is not None
-    assert alone.interval[1] < many.interval[1]
-    assert alone.chance < many.chance
+    bindings, faults = Bindings({"drive": Binding(retries=0)}), Faults((Fault("drive", FaultKind.ABORT, chance=0.4),))
+    alone, many = (rolled(WORLDS[0], bindings, faults, replans=replans) for replans in (0, 10))
+    assert alone.interval[1] < many.interval[0]
+
+
+def test_what_is_known_exactly_is_not_estimated_again() -> None:
+    bindings, faults = Bindings({"drive": Binding(retries=0)}), Faults((Fault("drive", FaultKind.ABORT, chance=0.1),))
+    settings = Settings(improve=0.0, bindings=bindings)
+    exactly = rolled(WORLDS[0], bindings, faults, replans=100)
+    found = odds_of_goal(WORLDS[0], plan_of(WORLDS[0]), settings, faults, seconds=600.0, most=150)
+    assert found.alone is not None
+    assert found.rolled is not None
+    assert found.alone.chance <= found.rolled.interval[0] <= found.rolled.chance <= found.rolled.interval[1]
+    assert max(found.rolled.interval[0], exactly.interval[0]) <= min(found.rolled.interval[1], exactly.interval[1])
+    hardly = odds_of_goal(WORLDS[0], plan_of(WORLDS[0]), settings, Faults((Fault("drive", FaultKind.ABORT, chance=1e-9),)), most=1).rolled
+    assert hardly is not None
+    assert hardly.chance > 1.0 - 1e-8
 
 
 @pytest.mark.parametrize(("chance", "words"), [(1.0, "100 %"), (0.0, "0 %"), (0.5, "50.0 %"), (0.99996, "99.996 %"), (0.00001, "0.001 %")])
