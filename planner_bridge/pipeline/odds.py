@@ -313,13 +313,14 @@ def learned(rates: Rates, bindings: Bindings) -> Attempts:
     """Return what is learned of the attempts of robots; what is not known of an action is assumed."""
 
     def attempts(action: GroundAction) -> AttemptOdds:
-        call, endings = Call.of(action, bindings), list[AttemptEnd]()
-        chance, is_asked = rates.chance(call), bindings.of(action.name).when_lost is WhenLost.ABORT
+        call, binding, endings = Call.of(action, bindings), bindings.of(action.name), list[AttemptEnd]()
+        chance, is_asked = rates.chance(call), binding.when_lost is WhenLost.ABORT
+        lasts = binding.seconds if action.duration is None else action.duration
         for end in chance.weights:
             leads = Leads.DONE if end is End.SUCCEEDED else Leads.AGAIN
             if end is End.ABORTED_FOR_GOOD or (end is End.LOST and is_asked):
                 leads = Leads.FAILED
-            seconds = rates.seconds(call, action.duration, succeeded=leads is Leads.DONE).buckets
+            seconds = rates.seconds(call, lasts, succeeded=leads is Leads.DONE).buckets
             endings.append(AttemptEnd(leads, chance.of(end), tuple(seconds)))
         return AttemptOdds(tuple(endings), str(chance.rests), sum(chance.weights.values()))
 

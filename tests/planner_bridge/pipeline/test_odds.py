@@ -170,6 +170,12 @@ def test_odds_of_learned_rates_are_those_of_robots_that_play_them() -> None:
     agree(odds, rolled(problem, bindings, played(attempts), replans=0))
 
 
+def test_seconds_that_nobody_has_measured_are_those_of_the_binding() -> None:
+    attempt = learned(Rates(), Bindings({"wave": Binding(seconds=7.0)}))(GroundAction("wave"))
+    assert attempt is not None
+    assert {seconds for end in attempt.endings for seconds, _ in end.seconds} == {7.0}
+
+
 def graph_of(problem: Problem) -> PlanGraph:
     return plan_graph(problem, plan_of(problem))
 
