@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from tests.support.benchmarks.executives import calls, gate, plans
+from tests.support.benchmarks.executives import calls, gate, plans, tasks
 from tests.support.benchmarks.executives.measured import MeasuredRow, Taken, measure
 from tests.support.benchmarks.executives.page import BEGIN, END, PAGE, measured_part, put_in
 from tests.support.benchmarks.executives.table import ROWS, Row, Subject, peer
@@ -28,7 +28,7 @@ def test_every_subject_has_a_measure_and_every_row_stands_on_the_page() -> None:
         assert f"### {row.what}\n" in page, f"{row.what}: python -m tests.benchmarks --write"
         assert not row.subjects[0].is_peer
         for subject in row.subjects:
-            assert subject.measure in (MEASURES if subject.is_peer else calls.MEASURES | plans.MEASURES)
+            assert subject.measure in (MEASURES if subject.is_peer else calls.MEASURES | plans.MEASURES | tasks.MEASURES)
 
 
 def test_the_gate_names_what_is_too_slow_and_what_has_no_limit() -> None:

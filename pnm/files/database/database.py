@@ -56,9 +56,8 @@ class Database:
 
     def connect(self) -> None:
         """Open the connection unless it is open."""
-        if self._driver is not None:
-            return
-        with self._translated():
+
+        def opened() -> Sqlite | Postgres:
             place, how = self.place, {"read_only": self._read_only, "is_durable": self._is_durable}
             driver = Sqlite(place, self._limit, **how) if isinstance(place, Path) else Postgres(place, self._limit, **how)
             try:
@@ -66,12 +65,14 @@ class Database:
             except BaseException:
                 driver.close()
                 raise
-            self._driver = driver
+            return driver
+
+        if self._driver is None:
+            self._driver = self._translated(opened)
 
     def run(self, sql: str, **values: object) -> Rows:
         """Execute a statement, in the transaction if there is one; return its rows."""
-        with self._translated():
-            return self._connected().run(sql, values)
+        return self._translated(lambda: self._connected().run(sql, values))
 
     def read(self, query: SqlQuery, **values: object) -> Rows:
         """Return the rows of a query; raise `DamagedDatabase` if they have values that nobody writes there."""
@@ -83,13 +84,11 @@ class Database:
     def run_many(self, sql: str, rows: Sequence[Mapping[str, object]]) -> None:
         """Execute a statement for each row."""
         if rows:
-            with self._translated():
-                self._connected().run_many(sql, rows)
+            self._translated(lambda: self._connected().run_many(sql, rows))
 
     def do(self, work: Callable[[Sqlite | Postgres], T]) -> T:
         """Return the result of the driver."""
-        with self._translated():
-            return work(self._connected())
+        return self._translated(lambda: work(self._connected()))
 
     @contextmanager
     def transaction(self, *, is_new: bool = True, is_durable: bool = False) -> Iterator[None]:
@@ -101,26 +100,25 @@ class Database:
         """
         if is_new:
             self.connect()
-        with self._translated():
-            if self._driver is None:
-                raise DatabaseError("there is no connection")
-            self._driver.begin(is_durable=is_durable)
+        if (driver := self._driver) is None:
+            raise DatabaseError("there is no connection")
+        self._translated(lambda: driver.begin(is_durable=is_durable))
         try:
             yield
-            with self._translated():
-                assert self._driver is not None
-                self._driver.run("COMMIT", {})
+            if self._driver is not driver:
+                raise DatabaseError("its connection was lost")
+            self._translated(lambda: driver.run("COMMIT", {}))
         except BaseException:
             if self._driver is not None:
-                with suppress(DatabaseError), self._translated():
-                    self._driver.run("ROLLBACK", {})
+                with suppress(DatabaseError):
+                    self._translated(lambda: driver.run("ROLLBACK", {}))
             raise
 
     def close(self) -> None:
         """Close the connection."""
-        if self._driver is not None:
-            with suppress(DatabaseError), self._translated():
-                self._driver.close()
+        if (driver := self._driver) is not None:
+            with suppress(DatabaseError):
+                self._translated(driver.close)
             self._driver = None
 
     def _connected(self) -> Sqlite | Postgres:
@@ -128,12 +126,11 @@ class Database:
         assert self._driver is not None
         return self._driver
 
-    @contextmanager
-    def _translated(self) -> Iterator[None]:
+    def _translated(self, work: Callable[[], T]) -> T:
         """Do something within the limit of an operation; errors are a `DatabaseError`, and end a connection that does not survive them."""
         self._limit.begin()
         try:
-            yield
+            return work()
         except PnmError:
             raise
         except Exception as error:

@@ -34,6 +34,8 @@ GATE: Final = (
     ("resource", 100),
     ("tasks-begin", 200),
     ("tasks-next", 200),
+    ("task-call", 100),
+    ("task-call-kept", 100),
     ("plan-tiles", 4),
     ("needless", 1_000),
 )

@@ -88,6 +88,21 @@ ROWS: Final = (
         rounds=3,
     ),
     Row(
+        "A call of a task that is under way",
+        "By the task manager, from the first request of a goal to its end: its plan was found and proved before. Robots do everything at "
+        "once. Of that is the executor by itself.",
+        "µs",
+        "calls",
+        (100, 1_000),
+        (
+            Subject("ours", "task-call"),
+            Subject("ours, with a journal", "task-call-kept"),
+            floor("of which the executor", "call-asynchronous"),
+            peer("UP-ESB, its executor", "esb-row", does_less=True),
+        ),
+        rounds=3,
+    ),
+    Row(
         "A command, whole process",
         "The delivery of a packet by simulated robots, to the end.",
         "ms",

@@ -1,4 +1,4 @@
-"""Tasks at once in one world: what the loop of their manager does for each, without the threads of the planner."""
+"""Tasks of a manager: what its loop does for each of those at once, and for a call of one, without the threads of the planner."""
 
 from __future__ import annotations
 
@@ -6,20 +6,26 @@ import asyncio
 import gc
 import logging
 import time
+from collections.abc import Coroutine
+from pathlib import Path
 from statistics import median
+from tempfile import TemporaryDirectory
 from uuid import UUID
 
 from planner_bridge.model.grounding import initial_knowledge
-from planner_bridge.tasks.settings import Settings
+from planner_bridge.tasks.result import TASKS, Stopwatch
+from planner_bridge.tasks.settings import Settings, TaskObserver
 from planner_bridge.tasks.task_manager import TaskLimits, TaskManager
 from pnm.actions.backend import ClientBackend
 from pnm.core.logic.conditions import Holds
 from pnm.core.machine.plan_graph import GroundAction
 from pnm.core.machine.requests import Accepted, Ended, Outcome, OutcomeKind, Reporter, Request
-from pnm.journal.journal import NO_JOURNAL
+from pnm.journal.journal import NO_JOURNAL, WrittenJournal
+from pnm.journal.store import JournalFile
 from pnm.language.runner import PlanRunner
 from pnm.tasks import Wanted
 from tests.support.benchmarks.peers.worker import Measure
+from tests.support.e2e.page.busy_run import AtOnce
 from tests.support.pddl.problems import fleet
 
 _ROBOTS = 200
@@ -48,8 +54,8 @@ class _Waiting:
         """Ignore it."""
 
 
-async def _at_once(count: int) -> tuple[float, float]:
-    """Return the seconds of the loop from a goal to its first request, and from the end of a call to the next request."""
+async def _at_once(count: int, which: int) -> float:
+    """Return the seconds of the loop from a goal to its first request, or from the end of a call to the next request."""
     problem, client = fleet(robots=_ROBOTS, parcels=1, places=_PLACES), _Waiting()
     runner = PlanRunner({}, ClientBackend(client), initial_knowledge(problem), None, NO_JOURNAL)
     limits = TaskLimits(active=count, queue=count)
@@ -71,19 +77,55 @@ async def _at_once(count: int) -> tuple[float, float]:
     for task in working:
         task.cancel()
     await asyncio.wait(working)
-    return begun, median(ends)
+    return (begun, median(ends))[which]
 
 
-def _measured(which: int) -> Measure:
-    def measure(count: int) -> float:
-        level = logging.root.manager.disable
-        logging.disable(logging.CRITICAL)
-        try:
-            return asyncio.run(_at_once(count))[which] * 1e6
-        finally:
-            logging.disable(level)
+class _Counting(AtOnce):
+    """Robots that do everything at once, and note when the first request came, and how many there were."""
 
-    return measure
+    def __init__(self) -> None:
+        self.began, self.count = 0.0, 0
+
+    def goal_fields(self, action: GroundAction, /) -> tuple[str, ...] | None:
+        return None
+
+    def send(self, request: Request, report: Reporter, /) -> None:
+        self.began = self.began or time.thread_time()
+        self.count += 1
+        super().send(request, report)
 
 
-MEASURES: dict[str, Measure] = {"tasks-begin": _measured(0), "tasks-next": _measured(1)}
+async def _under_way(calls: int, file: Path | None) -> float:
+    """Return the seconds of the loop for each call of a task, from its first request to its end: its plan was found and proved before."""
+    problem, client = fleet(robots=1, parcels=1, places=2 * calls), _Counting()
+    world, journal = initial_knowledge(problem), WrittenJournal(JournalFile(file, 0.0), TASKS) if file else NO_JOURNAL
+    runner = PlanRunner({}, ClientBackend(client), world, None, journal)
+    manager = TaskManager(problem, runner, Settings(improve=0.0), lambda text: Holds(tuple(text.split())))
+    journal.begin(world, runner.resources)
+    result = await manager.run(Wanted(UUID(int=1), f"at r0 a{calls}"), TaskObserver(), Stopwatch())
+    took = time.thread_time() - client.began
+    assert (result.goal_reached, client.count) == (True, calls), result
+    await manager.close()
+    return took / calls
+
+
+def _under_way_kept(calls: int) -> float:
+    with TemporaryDirectory() as folder:
+        return _seconds(_under_way(calls, Path(folder) / "journal"))
+
+
+def _seconds(work: Coroutine[None, None, float]) -> float:
+    level = logging.root.manager.disable
+    logging.disable(logging.CRITICAL)
+    try:
+        return asyncio.run(work)
+    finally:
+        logging.disable(level)
+
+
+MEASURES: dict[str, Measure] = {
+    "tasks-begin": lambda count: 1e6 * _seconds(_at_once(count, 0)),
+    "tasks-next": lambda count: 1e6 * _seconds(_at_once(count, 1)),
+    "task-call": lambda calls: 1e6 * _seconds(_under_way(calls, None)),
+    "task-call-kept": lambda calls: 1e6 * _under_way_kept(calls),
+}
