@@ -150,7 +150,7 @@ class Chance:
 
 
 @dataclass(frozen=True, slots=True)
-class Seconds:
+class Durations:
     """Seconds that attempts take: those that were counted, the fewest first, how often, and their mean."""
 
     buckets: tuple[tuple[float, int], ...]
@@ -187,11 +187,11 @@ class Times:
         """Their number."""
         return sum(self.steps.values())
 
-    def seconds(self, rests: Rests) -> Seconds:
+    def seconds(self, rests: Rests) -> Durations:
         """Return them as seconds, whose sum is what was measured; there must be some."""
         exact = self.total / 1000.0 / sum(STEP**step * count for step, count in self.steps.items())
         buckets = tuple([(STEP**step * exact, count) for step, count in sorted(self.steps.items())])
-        return Seconds(buckets, self.total / 1000.0 / self.n, rests)
+        return Durations(buckets, self.total / 1000.0 / self.n, rests)
 
 
 def _plus(some: Mapping[K, int], more: Mapping[K, int]) -> dict[K, int]:
@@ -295,7 +295,7 @@ class Rates:
                 rests = Rests(Basis.LEARNED, counts.n, group)
         return Chance(weights, rests)
 
-    def seconds(self, call: Call, declared: float | None = None, *, succeeded: bool = True) -> Seconds:
+    def seconds(self, call: Call, declared: float | None = None, *, succeeded: bool = True) -> Durations:
         """Return the seconds of an attempt at a call that succeeds, or that does not.
 
         They are those of the nearest group that has enough of them; else they are as declared; else of the action, however few; else
@@ -309,7 +309,7 @@ class Rates:
         if not succeeded:
             return self.seconds(call, declared)
         seconds = ASSUMED_SECONDS if declared is None else declared
-        return Seconds(((seconds, 1),), seconds, Rests(Basis.ASSUMED if declared is None else Basis.DECLARED))
+        return Durations(((seconds, 1),), seconds, Rests(Basis.ASSUMED if declared is None else Basis.DECLARED))
 
     def limit(self, call: Call) -> float | None:
         """Return a limit, in seconds, that cuts off one successful attempt of a thousand at most; None if there were too few.

@@ -10,7 +10,7 @@ from planner_bridge.model.forbidden_actions import unused_name
 from planner_bridge.model.plan import Plan
 from planner_bridge.model.problem import Domain, Metric, Problem, once_per_domain
 from planner_bridge.model.progression import calls_of
-from planner_bridge.model.rates import ASSUMED_SECONDS, NO_RATES as NOTHING_LEARNED, Basis, Call, Rates as LearnedRates
+from planner_bridge.model.rates import ASSUMED_SECONDS, NO_RATES, Basis, Call, Rates
 from planner_bridge.ordering.plan_to_graph import plan_graph
 from pnm.core.logic.domain import Declaration
 from pnm.core.logic.effects import Set
@@ -23,11 +23,11 @@ ASSUMED: Final = ASSUMED_SECONDS
 
 
 @dataclass(frozen=True)
-class Rates:
+class ExpectedTimes:
     """What is known about calls before they are made: how long an attempt takes, and how often it succeeds."""
 
     bindings: Bindings = NO_BINDINGS
-    learned: LearnedRates = NOTHING_LEARNED
+    learned: Rates = NO_RATES
 
     @cached_property
     def _found(self) -> dict[tuple[str, tuple[str, ...], float | None], float]:
@@ -68,10 +68,10 @@ class Rates:
         return bool(needed) and bool(set[str].intersection(*needed))
 
 
-NO_RATES: Final = Rates()
+NOTHING_EXPECTED: Final = ExpectedTimes()
 
 
-def robot_time(problem: Problem, plan: Plan, rates: Rates = NO_RATES) -> float:
+def robot_time(problem: Problem, plan: Plan, rates: ExpectedTimes = NOTHING_EXPECTED) -> float:
     """Return the seconds until all calls are carried out, if each begins as soon as those are over that it has to wait for.
 
     Calls that need the same resource take turns, in the order of the plan. A plan with times takes as long as these say.
@@ -95,7 +95,7 @@ def robot_time(problem: Problem, plan: Plan, rates: Rates = NO_RATES) -> float:
     return max(ends, default=0.0)
 
 
-def priced(problem: Problem, rates: Rates) -> Problem:
+def priced(problem: Problem, rates: ExpectedTimes) -> Problem:
     """Return the problem with a metric that adds up the seconds of calls, if plans are measured by them and they differ.
 
     Planners that minimise it know nothing of calls that go on at the same time.

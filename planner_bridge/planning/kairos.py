@@ -14,7 +14,7 @@ import kairos
 
 from planner_bridge.model.plan import CancelToken, Plan, PlanningResult, PlanningStatus, PlanStep, SpelledNames, plan_text
 from planner_bridge.model.problem import TOTAL_TIME, Domain, Problem, once_per_domain
-from planner_bridge.ordering.robot_time import ASSUMED, NO_RATES, Rates, priced, robot_time
+from planner_bridge.ordering.robot_time import ASSUMED, NOTHING_EXPECTED, ExpectedTimes, priced, robot_time
 from planner_bridge.pddl.writer import write_domain, write_problem
 from planner_bridge.planning.normal_form import in_whole_numbers
 from planner_bridge.planning.parts import better_parts, can_have_parts
@@ -59,7 +59,7 @@ _STATUS: Final[Mapping[kairos.Status, PlanningStatus]] = {
 """The ends of a search that has found no plan."""
 
 
-def parse_for_kairos(problem: Problem, rates: Rates = NO_RATES) -> kairos.Problem:
+def parse_for_kairos(problem: Problem, rates: ExpectedTimes = NOTHING_EXPECTED) -> kairos.Problem:
     """Return the problem as Kairos reads it: without its task network, in whole numbers, with the seconds of calls where they count.
 
     It may refuse what our reader accepted.
@@ -101,7 +101,7 @@ def search(
     *,
     improve: float | None = 0.0,
     parsed: kairos.Problem | None = None,
-    rates: Rates = NO_RATES,
+    rates: ExpectedTimes = NOTHING_EXPECTED,
 ) -> PlanningResult:
     """Search with one planner, at most `timeout` seconds besides the time to load it; the plan is not validated yet.
 
@@ -122,7 +122,12 @@ def search(
 
 
 def search_with_kairos(
-    problem: Problem, parsed: kairos.Problem, timeout: float, improve: float | None, cancel: CancelToken, rates: Rates = NO_RATES
+    problem: Problem,
+    parsed: kairos.Problem,
+    timeout: float,
+    improve: float | None,
+    cancel: CancelToken,
+    rates: ExpectedTimes = NOTHING_EXPECTED,
 ) -> PlanningResult:
     """Search for a plan until the timeout, or until the search is cancelled.
 
@@ -183,7 +188,7 @@ def _memory_of_others() -> int:
 class _Best:
     """The best plan that was found. The mutable state is that plan, its value, and which plans of which searches were looked at."""
 
-    def __init__(self, problem: Problem, parsed: kairos.Problem, rates: Rates) -> None:
+    def __init__(self, problem: Problem, parsed: kairos.Problem, rates: ExpectedTimes) -> None:
         self._problem, self._parsed, self._rates = problem, parsed, rates
         self._start = kairos.Planner().start  # type: ignore[no-untyped-call]
         self._counts = rates.are_measure(problem)

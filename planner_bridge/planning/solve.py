@@ -18,8 +18,8 @@ from planner_bridge.model.grounding import initial_knowledge
 from planner_bridge.model.plan import CancelToken, Plan, PlanningResult
 from planner_bridge.model.problem import TOTAL_TIME, Problem
 from planner_bridge.model.progression import Happening, NotApplicable, Progression, Stage, calls_of, happenings, refuse, snapshot
-from planner_bridge.model.rates import NO_RATES as NOTHING_LEARNED, Rates as LearnedRates
-from planner_bridge.ordering.robot_time import NO_RATES, Rates, robot_time
+from planner_bridge.model.rates import NO_RATES, Rates
+from planner_bridge.ordering.robot_time import NOTHING_EXPECTED, ExpectedTimes, robot_time
 from planner_bridge.planning.kairos import DEFAULT_PLANNER, parse_for_kairos, search, validate
 from planner_bridge.planning.validate import InvalidPlan, last_state, validated
 from pnm.core.knowledge_base import KnowledgeBase
@@ -52,7 +52,7 @@ def solve(
     cancel: CancelToken | None = None,
     executor: Executor | None = None,
     bindings: Bindings = NO_BINDINGS,
-    learned: LearnedRates = NOTHING_LEARNED,
+    learned: Rates = NO_RATES,
 ) -> PlanningResult:
     """Search for a plan, validate it, and leave out what it does not need, at most `timeout` seconds.
 
@@ -72,7 +72,7 @@ def solve(
     check_kinds("solve", {"problem": (problem, Problem), "planner": (planner, str)})
     check_seconds("the search for a plan", timeout)
     check_seconds("the search for a better plan", improve)
-    rates = Rates(bindings, learned)
+    rates = ExpectedTimes(bindings, learned)
     stop, timeout = cancel or threading.Event(), min(timeout, _LONGEST)
     until = time.monotonic() + timeout
     if planner == PORTFOLIO or planner.startswith(_PORTFOLIO_OF):
@@ -122,7 +122,12 @@ WORK: Final = 32_000
 
 
 def reduced(
-    problem: Problem, result: PlanningResult, parsed: kairos.Problem | None = None, *, until: float = inf, rates: Rates = NO_RATES
+    problem: Problem,
+    result: PlanningResult,
+    parsed: kairos.Problem | None = None,
+    *,
+    until: float = inf,
+    rates: ExpectedTimes = NOTHING_EXPECTED,
 ) -> PlanningResult:
     """Return the result with a plan that has no needless step; one of a task network, or with preferences, is more than a way to a goal.
 

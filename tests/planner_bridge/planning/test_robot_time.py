@@ -6,8 +6,8 @@ import pytest
 
 from planner_bridge.model.plan import Plan, PlanStep
 from planner_bridge.model.problem import Problem
-from planner_bridge.model.rates import NO_RATES, Call, Counts, End, Rates as LearnedRates
-from planner_bridge.ordering.robot_time import Rates, priced, robot_time
+from planner_bridge.model.rates import NO_RATES, Call, Counts, End, Rates
+from planner_bridge.ordering.robot_time import ExpectedTimes, priced, robot_time
 from planner_bridge.pddl import parse_domain, parse_problem
 from planner_bridge.planning.solve import solve
 from pnm.core.machine.bindings import Binding, Bindings
@@ -52,9 +52,9 @@ def test_calls_that_go_on_at_the_same_time_count_once_unless_they_need_the_same_
     problem = rooms(goal="(and (clean a) (clean b))", init="(at r1 a) (at r2 b)")
     plan = plan_of("sweep r1 a", "sweep r2 b")
     one_broom = Bindings({"sweep": Binding(seconds=10.0, resources=("broom",))})
-    assert robot_time(problem, plan, Rates(SLOW_SWEEP)) == 10.0
-    assert robot_time(problem, plan, Rates(one_broom)) == 20.0
-    assert robot_time(problem, plan_of("move r1 a b", "move r1 b c", "sweep r2 b"), Rates(SLOW_SWEEP)) == 10.0
+    assert robot_time(problem, plan, ExpectedTimes(SLOW_SWEEP)) == 10.0
+    assert robot_time(problem, plan, ExpectedTimes(one_broom)) == 20.0
+    assert robot_time(problem, plan_of("move r1 a b", "move r1 b c", "sweep r2 b"), ExpectedTimes(SLOW_SWEEP)) == 10.0
 
 
 def test_nothing_is_called_best_where_calls_can_go_on_at_the_same_time() -> None:
@@ -69,14 +69,14 @@ def test_nothing_is_called_best_where_calls_can_go_on_at_the_same_time() -> None
 
 def test_a_metric_of_the_problem_counts_and_not_the_seconds() -> None:
     problem = ways("(:metric minimize (total-time))")
-    assert priced(problem, Rates(Bindings({"walk": Binding(seconds=60.0)}))) is problem
+    assert priced(problem, ExpectedTimes(Bindings({"walk": Binding(seconds=60.0)}))) is problem
     plan = solve(problem, bindings=Bindings({"walk": Binding(seconds=60.0)})).plan
     assert plan is not None
     assert [step.action for step in plan.steps] == ["walk"]
 
 
-def learned_of(**attempts: tuple[float, int, int]) -> LearnedRates:
-    """Rates of actions without arguments: the seconds of an attempt, how many have succeeded, how many have not."""
+def learned_of(**attempts: tuple[float, int, int]) -> Rates:
+    """ExpectedTimes of actions without arguments: the seconds of an attempt, how many have succeeded, how many have not."""
     counted = [
         (Call(name, name), Counts.of(end, seconds))
         for name, (seconds, *times) in attempts.items()
@@ -109,7 +109,7 @@ def test_each_call_takes_as_long_as_it_took() -> None:
         for here, there, seconds in (("a", "b", 3.0), ("b", "c", 8.0))
         for _ in range(1000)
     ]
-    rates = Rates(learned=NO_RATES.grown("journal", 1, counted))
+    rates = ExpectedTimes(learned=NO_RATES.grown("journal", 1, counted))
     assert robot_time(problem, plan_of("move r1 a b", "move r1 b c"), rates) == pytest.approx(11.0, rel=0.001)
 
 
