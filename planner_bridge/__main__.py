@@ -9,6 +9,7 @@ UNTOLD = {
     "run": '"goal_reached": false, "code": "cancelled"',
     "goal": '"goal_reached": false, "code": 10',
     "plan": '"status": "cancelled", "steps": null',
+    "odds": '"chance": null, "alone": null, "with_new_plans": null',
     "check": '"ready": null, "rows": null',
     "why": '"answers": null',
     "status": '"paused": null, "tasks": null',

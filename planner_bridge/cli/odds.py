@@ -67,6 +67,8 @@ def odds(
             result = solve(loaded, planner=planner, timeout=planner_timeout, improve=improve, bindings=bound, learned=learned)
         if result.plan is None:
             SafeConsole(stderr=as_json).print_reason("no plan:", result.reason)
+            if as_json:
+                options.print_json({"chance": None, "alone": None, "with_new_plans": None, "reason": result.reason})
             return 1
         known = options.faults_in(faults, loaded.vocabulary)
         found = odds_of_goal(loaded, result.plan, settings, known, learned, seconds=seconds)

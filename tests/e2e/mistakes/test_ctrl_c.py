@@ -79,6 +79,7 @@ def test_the_json_of_a_command_that_was_cancelled_has_the_keys_of_that_command()
         "run": {"goal_reached": False, "code": "cancelled"},
         "goal": {"goal_reached": False, "code": int(Code.CANCELLED)},
         "plan": {"status": PlanningStatus.CANCELLED.value, "steps": None},
+        "odds": {"chance": None, "alone": None, "with_new_plans": None},
         "check": {"ready": None, "rows": None},
         "why": {"answers": None},
         "status": {"paused": None, "tasks": None},

@@ -60,8 +60,8 @@ MISTAKES: Final = (
         (
             Change(
                 _JOURNAL,
-                "        self._waiting.append((perform, tuple(commands)))\n        # What is only heard",
-                "        perform(commands)\n        # What is only heard",
+                "        self._waiting.append((perform, tuple(commands)))\n        sent = ",
+                "        perform(commands)\n        sent = ",
             ),
         ),
         "nothing_is_sent_before_its_intent_is_kept",
