@@ -111,7 +111,7 @@ def plan(
 ) -> int:
     """Find and print a plan."""
     from planner_bridge.model.plan import PlanningStatus
-    from planner_bridge.pipeline.loading import bindings_for, rates_for
+    from planner_bridge.pipeline.loading import bindings_beside, bindings_for, rates_beside, rates_for
     from planner_bridge.planning.kairos import DEFAULT_PLANNER
     from planner_bridge.planning.solve import solve
 
@@ -120,18 +120,20 @@ def plan(
     if output:
         options.check_output(output, force=force)
     loaded = options.problem_in(domain, problem)
-    bound = bindings_for(domain, bindings, loaded.vocabulary)
+    bound = bindings_for(domain, bindings, loaded.vocabulary) if bindings or bindings_beside(domain) else None
     thought = _IMPROVE if improve is None and (loaded.is_timed or loaded.metric) else improve
     with options.searching(planner, planner_timeout):
-        learned = rates_for(domain, rates)
+        learned = rates_for(domain, rates) if rates or rates_beside(domain) else None
         result = solve(loaded, planner=planner, timeout=planner_timeout, improve=thought, bindings=bound, learned=learned)
     odds = None
-    if result.plan is not None and learned.calls:
+    if result.plan is not None and learned is not None and learned.calls:
         from planner_bridge.pipeline.roll_outs import odds_of_goal
         from planner_bridge.tasks.settings import Settings
         from pnm.actions.faults import NO_FAULTS
 
-        odds = odds_of_goal(loaded, result.plan, Settings(bindings=bound), NO_FAULTS, learned, seconds=0.0)
+        odds = odds_of_goal(
+            loaded, result.plan, Settings(bindings=bindings_for(domain, bindings, loaded.vocabulary)), NO_FAULTS, learned, seconds=0.0
+        )
     if as_json:
         steps = [
             {"action": step.action, "arguments": [*step.arguments], "start": round(step.start, 6), "duration": round(step.duration, 6)}

@@ -107,6 +107,8 @@ class CancelToken(Protocol):
 _LINE: Final = re.compile(r"\s*(?:(?P<time>[0-9.eE+-]+)\s*:)?\s*\((?P<call>[^()]*)\)\s*(?:\[(?P<duration>[0-9.eE+-]+)\])?\s*")
 _GAP: Final = 0.001
 """Seconds between the end of a call and the start of the next one, where the text has no times."""
+ASSUMED_SECONDS: Final = 1.0
+"""Seconds of a call of which nothing is known, as planners count them."""
 LONGEST: Final = 1_000_000
 """Characters of a plan."""
 

@@ -18,14 +18,16 @@ from enum import Enum, StrEnum
 from functools import cached_property
 from math import exp, log, sqrt
 from pathlib import Path
-from statistics import NormalDist
-from typing import Final, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, Final, NamedTuple, TypeVar
 
+from planner_bridge.model.plan import ASSUMED_SECONDS
 from pnm.core.machine.bindings import Bindings
 from pnm.core.machine.plan_graph import GroundAction
 from pnm.errors import InputError, Position
 from pnm.files.text import write_private
-from pnm.files.yaml_nodes import Mapped, load_yaml
+
+if TYPE_CHECKING:
+    from pnm.files.yaml_nodes import Mapped
 
 K = TypeVar("K")
 
@@ -69,8 +71,6 @@ class End(StrEnum):
 
 ASSUMED: Final[Mapping[End, float]] = {End.SUCCEEDED: 0.9, End.ABORTED: 0.1}
 """Chances of which nothing is known; together they count as one attempt."""
-ASSUMED_SECONDS: Final = 1.0
-"""Seconds of which nothing is known, as planners count them."""
 
 
 _BARE: Final = re.compile(r'[^\s(),"\\]+')
@@ -144,7 +144,7 @@ class Chance:
 
     def interval(self, security: float = SECURITY) -> tuple[float, float]:
         """Return the interval that holds the chance of success with this security (Wilson 1927)."""
-        n, z = sum(self.weights.values()), NormalDist().inv_cdf(0.5 + security / 2.0)
+        n, z = sum(self.weights.values()), normal_quantile(0.5 + security / 2.0)
         centre, wide = self.success + z * z / (2.0 * n), z * sqrt(self.success * (1.0 - self.success) / n + z * z / (4.0 * n * n))
         return max(0.0, (centre - wide) / (1.0 + z * z / n)), min(1.0, (centre + wide) / (1.0 + z * z / n))
 
@@ -196,6 +196,13 @@ class Times:
 
 def _plus(some: Mapping[K, int], more: Mapping[K, int]) -> dict[K, int]:
     return {**some, **{key: some.get(key, 0) + count for key, count in more.items()}}
+
+
+def normal_quantile(share: float) -> float:
+    """Return a quantile of the normal distribution."""
+    from statistics import NormalDist  # here, because most commands need none
+
+    return NormalDist().inv_cdf(share)
 
 
 def step_of(seconds: float) -> int:
@@ -322,7 +329,7 @@ class Rates:
         steps, n = fitting[-1].steps, fitting[-1].n
         mean = sum(step * count for step, count in steps.items()) / n
         spread = sqrt(sum((step - mean) ** 2 * count for step, count in steps.items()) / (n - 1) * (1.0 + 1.0 / n))
-        z, v = NormalDist().inv_cdf(1.0 - FALSE_TIMEOUTS / 2.0), n - 1  # by half, for what is not just normal
+        z, v = normal_quantile(1.0 - FALSE_TIMEOUTS / 2.0), n - 1  # by half, for what is not just normal
         # the quantile of Student's distribution, by Cornish and Fisher
         t = z + (z**3 + z) / (4 * v) + (5 * z**5 + 16 * z**3 + 3 * z) / (96 * v**2)
         t += (3 * z**7 + 19 * z**5 + 17 * z**3 - 15 * z) / (384 * v**3)
@@ -364,6 +371,8 @@ class Rates:
 
 def read_rates(path: Path | str) -> Rates:
     """Read a file of rates; raise `InputError` where something is wrong."""
+    from pnm.files.yaml_nodes import load_yaml  # here, because most commands read none
+
     top = load_yaml(path)
     top.only("journals", "servers")
     journals, calls = top.section("journals"), []

@@ -4,22 +4,18 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Final
 
 from planner_bridge.model.forbidden_actions import unused_name
 from planner_bridge.model.plan import Plan
 from planner_bridge.model.problem import Domain, Metric, Problem, once_per_domain
 from planner_bridge.model.progression import calls_of
-from planner_bridge.model.rates import ASSUMED_SECONDS, NO_RATES, Basis, Call, Rates
+from planner_bridge.model.rates import NO_RATES, Basis, Call, Rates
 from planner_bridge.ordering.plan_to_graph import plan_graph
 from pnm.core.logic.domain import Declaration
 from pnm.core.logic.effects import Set
 from pnm.core.logic.expressions import Constant, ValueOf
 from pnm.core.machine.bindings import NO_BINDINGS, Bindings, placeholders
 from pnm.core.machine.plan_graph import GroundAction, PlanGraphError
-
-ASSUMED: Final = ASSUMED_SECONDS
-"""Seconds of a call of which nothing else is known."""
 
 
 @dataclass(frozen=True)
@@ -37,8 +33,8 @@ class ExpectedTimes:
     def expected(self, action: GroundAction) -> float:
         """Return the seconds until a call has succeeded, attempts that fail included.
 
-        Those of an attempt are learned, else as the domain says, else as the binding says, else `ASSUMED`. All attempts succeed as long
-        as nothing else was learned.
+        Those of an attempt are learned, else as the domain says, else as the binding says, else `ASSUMED_SECONDS`. All attempts succeed
+        as long as nothing else was learned.
         """
         key = action.name, action.arguments, action.duration
         if key not in self._found:
@@ -68,10 +64,12 @@ class ExpectedTimes:
         return bool(needed) and bool(set[str].intersection(*needed))
 
 
-NOTHING_EXPECTED: Final = ExpectedTimes()
+def expected_times(bindings: Bindings | None, learned: Rates | None) -> ExpectedTimes:
+    """Return what calls are expected to take, by what there is."""
+    return ExpectedTimes(bindings or NO_BINDINGS, learned or NO_RATES)
 
 
-def robot_time(problem: Problem, plan: Plan, rates: ExpectedTimes = NOTHING_EXPECTED) -> float:
+def robot_time(problem: Problem, plan: Plan, rates: ExpectedTimes) -> float:
     """Return the seconds until all calls are carried out, if each begins as soon as those are over that it has to wait for.
 
     Calls that need the same resource take turns, in the order of the plan. A plan with times takes as long as these say.

@@ -66,13 +66,18 @@ def bindings_beside(domain: Path | None) -> Path | None:
     return beside if beside and os.path.isfile(beside) else None  # unlike `Path.is_file` also for names that are too long
 
 
+def rates_beside(domain: Path | None) -> Path | None:
+    """Return the ``rates.yaml`` beside the domain, if there is one."""
+    beside = domain.parent / RATES if domain else None
+    return beside if beside and os.path.isfile(beside) else None
+
+
 def rates_for(domain: Path | None, file: Path | None, *, grows: bool = False) -> Rates:
     """Return rates from a file; without one, from ``rates.yaml`` beside the domain if that exists. A file that `grows` may be new."""
     from planner_bridge.model.rates import NO_RATES, read_rates  # here, because most commands need no rates
 
-    beside = domain.parent / RATES if domain else None
-    chosen, is_needed = file or beside, file is not None and not grows
-    return read_rates(chosen) if chosen and (is_needed or os.path.isfile(chosen)) else NO_RATES
+    chosen = file if file and (not grows or os.path.isfile(file)) else None if file else rates_beside(domain)
+    return read_rates(chosen) if chosen else NO_RATES
 
 
 def warning_lines(warnings: Iterable[Tolerated]) -> Iterator[str]:

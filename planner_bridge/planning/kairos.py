@@ -8,19 +8,20 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from math import inf
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import kairos
 
-from planner_bridge.model.plan import CancelToken, Plan, PlanningResult, PlanningStatus, PlanStep, SpelledNames, plan_text
+from planner_bridge.model.plan import ASSUMED_SECONDS, CancelToken, Plan, PlanningResult, PlanningStatus, PlanStep, SpelledNames, plan_text
 from planner_bridge.model.problem import TOTAL_TIME, Domain, Problem, once_per_domain
-from planner_bridge.ordering.robot_time import ASSUMED, NOTHING_EXPECTED, ExpectedTimes, priced, robot_time
 from planner_bridge.pddl.writer import write_domain, write_problem
 from planner_bridge.planning.normal_form import in_whole_numbers
-from planner_bridge.planning.parts import better_parts, can_have_parts
 from pnm.core.logic.expressions import ValueOf
 from pnm.core.machine.plan_graph import GroundAction
 from pnm.errors import InputError
+
+if TYPE_CHECKING:
+    from planner_bridge.ordering.robot_time import ExpectedTimes
 
 DEFAULT_PLANNER: Final = "kairos"
 SHARE: Final = 0.05
@@ -59,13 +60,17 @@ _STATUS: Final[Mapping[kairos.Status, PlanningStatus]] = {
 """The ends of a search that has found no plan."""
 
 
-def parse_for_kairos(problem: Problem, rates: ExpectedTimes = NOTHING_EXPECTED) -> kairos.Problem:
+def parse_for_kairos(problem: Problem, rates: ExpectedTimes | None = None) -> kairos.Problem:
     """Return the problem as Kairos reads it: without its task network, in whole numbers, with the seconds of calls where they count.
 
     It may refuse what our reader accepted.
     """
+    if rates is not None:
+        from planner_bridge.ordering.robot_time import priced  # here and below, because most problems are about no robot that is known
+
+        problem = priced(problem, rates)
     try:
-        return _parsed(priced(problem, rates))
+        return _parsed(problem)
     except kairos.PddlError as error:
         raise InputError(f"the planner refuses the problem: {error}") from error
 
@@ -101,7 +106,7 @@ def search(
     *,
     improve: float | None = 0.0,
     parsed: kairos.Problem | None = None,
-    rates: ExpectedTimes = NOTHING_EXPECTED,
+    rates: ExpectedTimes | None = None,
 ) -> PlanningResult:
     """Search with one planner, at most `timeout` seconds besides the time to load it; the plan is not validated yet.
 
@@ -109,7 +114,7 @@ def search(
         improve: seconds for which Kairos looks for a better plan once there is one, None for what that is worth; other planners return
             what they find.
         parsed: the problem as Kairos reads it, if that is there already.
-        rates: what calls are expected to take.
+        rates: what calls are expected to take; None where nothing is known.
     """
     if planner != DEFAULT_PLANNER:
         from planner_bridge.planning.engines import search_with_engine  # here, because Kairos needs no other process
@@ -127,7 +132,7 @@ def search_with_kairos(
     timeout: float,
     improve: float | None,
     cancel: CancelToken,
-    rates: ExpectedTimes = NOTHING_EXPECTED,
+    rates: ExpectedTimes | None = None,
 ) -> PlanningResult:
     """Search for a plan until the timeout, or until the search is cancelled.
 
@@ -154,14 +159,17 @@ def search_with_kairos(
             patience *= 2
         if best.of(searches):
             first, news = min(first, now), now
-            parts = better_parts(problem, best.plan, best.of_part, best.take) if best.plan and can_have_parts(problem) else iter(())
+            if improve is None or improve >= _PART:
+                from planner_bridge.planning.parts import better_parts, can_have_parts  # here, because short searches look for none
+
+                parts = better_parts(problem, best.plan, best.of_part, best.take) if best.plan and can_have_parts(problem) else iter(())
         if best.plan is not None:
             allowed = best.worth if improve is None else improve
             deadline = first + allowed if improve is not None else min(first + allowed, news + allowed * _IN_VAIN)
             if news < now and not any(beside.running() for beside in searches[1:]) and (other := next(others, None)):
                 searches.append(start(timeout=allowed * other[1], search=other[0]))
     is_best = not search.running() and search.stop_reason is kairos.StopReason.PROVEN_OPTIMAL
-    if rates.are_measure(problem):  # proved is that no plan has less work, if every call of an action takes as long
+    if rates is not None and rates.are_measure(problem):  # proved is that no plan has less work, if every call of an action takes as long
         is_best &= rates.have_turns(problem) and not rates.learned.groups
     for started in searches:
         started.stop()
@@ -188,10 +196,10 @@ def _memory_of_others() -> int:
 class _Best:
     """The best plan that was found. The mutable state is that plan, its value, and which plans of which searches were looked at."""
 
-    def __init__(self, problem: Problem, parsed: kairos.Problem, rates: ExpectedTimes) -> None:
+    def __init__(self, problem: Problem, parsed: kairos.Problem, rates: ExpectedTimes | None) -> None:
         self._problem, self._parsed, self._rates = problem, parsed, rates
         self._start = kairos.Planner().start  # type: ignore[no-untyped-call]
-        self._counts = rates.are_measure(problem)
+        self._counts = rates is not None and rates.are_measure(problem)
         self._value: tuple[float, ...] = (inf,)
         self._seen: dict[int, float] = {}
         self.plan: Plan | None = None
@@ -214,6 +222,9 @@ class _Best:
     def _keep(self, plan: Plan) -> bool:
         metric = self._problem.metric
         if self._counts:
+            from planner_bridge.ordering.robot_time import robot_time
+
+            assert self._rates is not None
             time = robot_time(self._problem, plan, self._rates)
             value: tuple[float, ...] = (time, self._work(plan.steps))
             plan = replace(plan, seconds=time)
@@ -231,7 +242,7 @@ class _Best:
         plan = self.plan
         assert plan is not None
         least = _WEIGHED if self._problem.has_preferences else _LEAST
-        taken = plan.makespan if plan.temporal else len(plan.steps) * ASSUMED if plan.seconds is None else plan.seconds
+        taken = plan.makespan if plan.temporal else len(plan.steps) * ASSUMED_SECONDS if plan.seconds is None else plan.seconds
         return min(LONGEST, max(least, taken * SHARE))
 
     def of_part(self, part: Problem, old: Sequence[PlanStep], reached: float | None) -> Plan | None:
@@ -261,6 +272,8 @@ class _Best:
 
     def _work(self, steps: Iterable[PlanStep]) -> float:
         """Return the seconds of all calls, one after the other."""
+        if self._rates is None:
+            return sum(ASSUMED_SECONDS for _ in steps)
         return sum(self._rates.expected(GroundAction(step.action, step.arguments)) for step in steps)
 
 

@@ -13,20 +13,16 @@ from dataclasses import replace
 from math import inf
 from typing import TYPE_CHECKING, Final
 
-from planner_bridge.model.exclusive_resources import with_turns
 from planner_bridge.model.grounding import initial_knowledge
 from planner_bridge.model.plan import CancelToken, Plan, PlanningResult
 from planner_bridge.model.problem import TOTAL_TIME, Problem
 from planner_bridge.model.progression import Happening, NotApplicable, Progression, Stage, calls_of, happenings, refuse, snapshot
-from planner_bridge.model.rates import NO_RATES, Rates
-from planner_bridge.ordering.robot_time import NOTHING_EXPECTED, ExpectedTimes, robot_time
 from planner_bridge.planning.kairos import DEFAULT_PLANNER, parse_for_kairos, search, validate
 from planner_bridge.planning.validate import InvalidPlan, last_state, validated
 from pnm.core.knowledge_base import KnowledgeBase
 from pnm.core.logic.conditions import Condition, Holds, Not, conjuncts, evaluate, fluents, names
 from pnm.core.logic.effects import possible_assignments
 from pnm.core.logic.expressions import Constant, Fluent, Value, ValueOf, value_of
-from pnm.core.machine.bindings import NO_BINDINGS, Bindings
 from pnm.core.machine.plan_graph import GroundAction, Moment
 from pnm.errors import check_kinds, check_seconds
 
@@ -34,6 +30,10 @@ if TYPE_CHECKING:
     from concurrent.futures import Executor
 
     import kairos
+
+    from planner_bridge.model.rates import Rates
+    from planner_bridge.ordering.robot_time import ExpectedTimes
+    from pnm.core.machine.bindings import Bindings
 
 
 PORTFOLIO: Final = "race"
@@ -51,8 +51,8 @@ def solve(
     improve: float | None = None,
     cancel: CancelToken | None = None,
     executor: Executor | None = None,
-    bindings: Bindings = NO_BINDINGS,
-    learned: Rates = NO_RATES,
+    bindings: Bindings | None = None,
+    learned: Rates | None = None,
 ) -> PlanningResult:
     """Search for a plan, validate it, and leave out what it does not need, at most `timeout` seconds.
 
@@ -72,16 +72,21 @@ def solve(
     check_kinds("solve", {"problem": (problem, Problem), "planner": (planner, str)})
     check_seconds("the search for a plan", timeout)
     check_seconds("the search for a better plan", improve)
-    rates = ExpectedTimes(bindings, learned)
+    asked, rates = problem, None
+    if bindings or learned:
+        from planner_bridge.model.exclusive_resources import with_turns  # here, because most problems are about no robot that is known
+        from planner_bridge.ordering.robot_time import expected_times
+
+        rates = expected_times(bindings, learned)
+        asked = with_turns(problem, rates.bindings)
     stop, timeout = cancel or threading.Event(), min(timeout, _LONGEST)
     until = time.monotonic() + timeout
     if planner == PORTFOLIO or planner.startswith(_PORTFOLIO_OF):
         from planner_bridge.planning.portfolio import solve_with_portfolio  # here, because most searches use one planner
 
         members = None if planner == PORTFOLIO else _portfolio_members(planner)
-        found = solve_with_portfolio(with_turns(problem, bindings), planners=members, timeout=timeout, executor=executor, cancel=stop)
+        found = solve_with_portfolio(asked, planners=members, timeout=timeout, executor=executor, cancel=stop)
         return reduced(problem, found, until=until, rates=rates)
-    asked = with_turns(problem, bindings)
     parsed = parse_for_kairos(asked, rates) if planner == DEFAULT_PLANNER else None  # once, for its search and its validator
     found = search(asked, planner, timeout, stop, improve=improve, parsed=parsed, rates=rates)
     return reduced(problem, validated(problem, found, parsed), parsed, until=until, rates=rates)
@@ -127,7 +132,7 @@ def reduced(
     parsed: kairos.Problem | None = None,
     *,
     until: float = inf,
-    rates: ExpectedTimes = NOTHING_EXPECTED,
+    rates: ExpectedTimes | None = None,
 ) -> PlanningResult:
     """Return the result with a plan that has no needless step; one of a task network, or with preferences, is more than a way to a goal.
 
@@ -146,7 +151,9 @@ def reduced(
     is_shorter = len(shorter.steps) < len(plan.steps)
     if is_shorter and validate(problem, shorter, parsed):
         return result
-    if rates.are_measure(problem):
+    if rates is not None and rates.are_measure(problem):
+        from planner_bridge.ordering.robot_time import robot_time
+
         shorter = replace(shorter, seconds=robot_time(problem, shorter, rates))
     return replace(result, plan=shorter)
 
