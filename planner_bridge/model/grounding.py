@@ -21,23 +21,36 @@ if TYPE_CHECKING:
     from pnm.language.plan import HandWrittenPlan
 
 
-def ground_action(schema: ActionSchema, arguments: tuple[str, ...], duration: float | None = None) -> GroundAction:
+def ground_action(
+    schema: ActionSchema, arguments: tuple[str, ...], duration: float | None = None, state: State | None = None, outcome: str = ""
+) -> GroundAction:
     """Return the action with these arguments, and a planned duration in seconds unless it is instantaneous.
 
-    Raises an `InputError` if there are more or fewer arguments than parameters.
+    Args:
+        state: has the objects for which outcomes may differ.
+        outcome: the name of the expected one; the first by default.
+
+    Raises an `InputError` if there are more or fewer arguments than parameters, or no such outcome.
     """
     if len(arguments) != len(schema.parameters):
         expected = " ".join(variable.name for variable in schema.parameters) or "none"
         raise InputError(f"{schema.name} takes {len(schema.parameters)} arguments ({expected}), found {len(arguments)}")
     env: Environment = {variable.name: argument for variable, argument in zip(schema.parameters, arguments, strict=True)}
-    action = ground_schema(schema, arguments, env, duration)
+    action = ground_schema(schema, arguments, env, state or KnowledgeBase(), duration, outcome)
     return action if schema.duration is not None or duration is None else replace(action, duration=None)
 
 
 @once_per_domain
-def ground_step(domain: Domain, action: str, arguments: tuple[str, ...], duration: float | None) -> GroundAction:
-    """Return a ground action for a step of a plan, the same one for the same step of another plan."""
-    return ground_action(domain.actions[action], arguments, duration)
+def ground_step(
+    domain: Domain,
+    action: str,
+    arguments: tuple[str, ...],
+    duration: float | None,
+    outcome: str = "",
+    members: tuple[tuple[str, tuple[str, ...]], ...] = (),
+) -> GroundAction:
+    """Return a ground action for a step of a plan, the same one for the same step of another plan; `Problem.members` in the last place."""
+    return ground_action(domain.actions[action], arguments, duration, KnowledgeBase(objects=dict(members)), outcome)
 
 
 def modelled_duration(schema: ActionSchema, arguments: tuple[str, ...], state: State) -> float | None:

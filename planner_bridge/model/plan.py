@@ -27,9 +27,11 @@ class PlanStep:
     arguments: tuple[str, ...] = ()
     start: float = 0.0
     duration: float = 0.0
+    outcome: str = ""
+    """The name of the expected one, if the action has several: the first by default."""
 
     def __str__(self) -> str:
-        return f"{self.action}({', '.join(self.arguments)})"
+        return f"{self.action}({', '.join(self.arguments)}){self.outcome and f' -> {self.outcome}'}"
 
 
 @dataclass(frozen=True, slots=True)

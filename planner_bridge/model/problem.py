@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
-from functools import wraps
+from functools import cached_property, wraps
 from math import prod
 from typing import Concatenate, Final, Literal, ParamSpec, TypeVar
 from weakref import ref
@@ -80,6 +80,11 @@ class Problem(ProblemModel):
 
     def __repr__(self) -> str:
         return f"<Problem {self.name} of {self.domain.name}: {len(self.objects)} objects, goal {self.goal}>"
+
+    @cached_property
+    def members(self) -> tuple[tuple[str, tuple[str, ...]], ...]:
+        """The objects of every type, if outcomes of actions may be other ones for other objects; else empty."""
+        return tuple(self.objects_by_type.items()) if self.domain.uncertain else ()
 
     def ranges(self) -> Iterator[tuple[str, int]]:
         """Yield for everything that quantifiers may stand in what it is, and over how many choices of objects they range."""

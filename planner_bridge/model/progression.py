@@ -61,7 +61,8 @@ def calls_of(problem: Problem, plan: Plan, first: int = 0) -> list[ActionCall]:
     """Return the calls of the plan, with numbers from `first`."""
     calls: list[ActionCall] = []
     for index, step in enumerate(plan.steps, first):
-        action = ground_step(problem.domain, step.action, step.arguments, step.duration if plan.temporal else None)
+        duration = step.duration if plan.temporal else None
+        action = ground_step(problem.domain, step.action, step.arguments, duration, step.outcome, problem.members)
         calls.append(ActionCall(index, action, step.start))
     return calls
 

@@ -91,9 +91,10 @@ class ServerModel:
         """Return the action of a goal, by `action`, field names, or its goal mapping backwards; raise an `InputError` if none fits."""
         planned = data.get("duration")
         candidates = list(self._candidates(data))
+        state = initial_knowledge(self.problem)
         for schema, arguments in candidates:
-            duration = modelled_duration(schema, arguments, initial_knowledge(self.problem))
-            action = ground_action(schema, arguments, planned if isinstance(planned, float) and planned > 0 else duration)
+            duration = modelled_duration(schema, arguments, state)
+            action = ground_action(schema, arguments, planned if isinstance(planned, float) and planned > 0 else duration, state)
             if len(candidates) == 1 or self.holds(action.precondition):
                 return action
         names = ", ".join(schema.name for schema, _ in self.choices)

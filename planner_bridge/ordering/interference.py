@@ -20,7 +20,7 @@ from planner_bridge.model.progression import NotApplicable, Progression, snapsho
 from pnm.core.knowledge_base import KnowledgeBase
 from pnm.core.logic.conditions import TRUE, Compare, Computed, Condition, Exists, ForAll, Holds, Implies, Not, fluents, operands_of
 from pnm.core.logic.domain import Declaration
-from pnm.core.logic.effects import Effects, ForEach, Set, TimedChange, When, possible_assignments, read
+from pnm.core.logic.effects import Effects, ForEach, OneOf, Set, TimedChange, When, possible_assignments, read
 from pnm.core.logic.expressions import NOTHING, Constant, Environment, Fluent, State, Unknown, Value, bind, choices, fluent_text
 from pnm.core.machine.plan_graph import ActionCall, Moment, Ordering, PlanEvent, PlanGraph
 
@@ -194,8 +194,8 @@ def _arguments_written(predicate: str, value: bool, effects: Effects) -> list[tu
         match effect:
             case Set(fluent, Constant(new)) if fluent[0] == predicate and new is value:
                 arguments.append(fluent[1:])
-            case When(_, inner):
-                arguments += _arguments_written(predicate, value, inner)
+            case When() | OneOf():
+                arguments += _arguments_written(predicate, value, effect.effects)
             case Set() | ForEach():
                 pass
     return list(dict.fromkeys(arguments))

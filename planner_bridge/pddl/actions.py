@@ -9,13 +9,23 @@ from collections.abc import Iterable, Mapping
 from typing import Final, Literal, TypeAlias, TypeVar
 
 from planner_bridge.pddl.expressions import TIME_SPECIFIERS, Atom, Group, Node, TimeSpecifier, new_name, operands, where, wrong
-from planner_bridge.pddl.formulas import TermScope, condition, effects, is_preference, preference, split_preferences, with_variables
+from planner_bridge.pddl.formulas import (
+    TermScope,
+    alternatives,
+    condition,
+    effects,
+    has_alternatives,
+    is_preference,
+    preference,
+    split_preferences,
+    with_variables,
+)
 from planner_bridge.pddl.requirements import Leniency, Refused
 from planner_bridge.pddl.sections import keyed
 from planner_bridge.pddl.symbols import SymbolTable
 from pnm.core.logic.conditions import TRUE, Condition, ForAll, conjunction
 from pnm.core.logic.domain import ActionSchema, DurationConstraint, Preference
-from pnm.core.logic.effects import OPERATIONS, Effect, Effects, ForEach, When
+from pnm.core.logic.effects import OPERATIONS, Alternative, Effect, Effects, ForEach, OneOf, When, has_outcomes
 from pnm.core.logic.expressions import Variable, expression_fluents
 
 T = TypeVar("T")
@@ -174,10 +184,18 @@ def _effects(node: Node, scope: TermScope) -> Timed[Effect]:
             if conditions["over all"] != TRUE:
                 raise Refused.CONDITIONAL_OVER_ALL.at(first)
             return {moment: [_when(conditions, moment, tuple(parts), node)] for moment, parts in _effects(second, scope).items()}
+        case Group() if has_alternatives(node, scope):
+            parts = [(_effects(part, scope), chance) for part, chance in alternatives(node, scope)]
+            if any("at start" in timed for timed, _ in parts):
+                raise Refused.OUTCOMES_AT_START.at(node)
+            return {"at end": [OneOf(tuple([Alternative(tuple(timed.get("at end", ())), chance) for timed, chance in parts]))]}
         case Group() if node.head in OPERATIONS:
             effects(node, scope)  # which refuses a continuous one
     moment, body = _timed(node, ("at start", "at end"), "and, forall or when")
-    return {moment: list(effects(body, scope))}
+    changes = effects(body, scope)
+    if moment == "at start" and has_outcomes(changes):
+        raise Refused.OUTCOMES_AT_START.at(body)
+    return {moment: list(changes)}
 
 
 def _when(conditions: Mapping[TimeSpecifier, Condition], moment: TimeSpecifier, parts: Effects, node: Node) -> Effect:

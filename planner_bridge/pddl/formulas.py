@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
+from fractions import Fraction
 from typing import Final, TypeVar
 
 from planner_bridge.model.problem import TOTAL_COST, TOTAL_TIME
@@ -24,10 +25,10 @@ from planner_bridge.pddl.expressions import (
     wrong,
 )
 from planner_bridge.pddl.requirements import Leniency, Refused
-from planner_bridge.pddl.symbols import CONSTRAINTS, SymbolTable
+from planner_bridge.pddl.symbols import CONSTRAINTS, OUTCOMES, SymbolTable
 from pnm.core.logic.conditions import TRUE, Any, Compare, Condition, Exists, ForAll, Holds, Implies, Not, conjunction
 from pnm.core.logic.domain import Declaration, Preference
-from pnm.core.logic.effects import OPERATIONS, Effects, ForEach, Set, When
+from pnm.core.logic.effects import CHANCES_MISS, OPERATIONS, Alternative, Effects, ForEach, OneOf, Set, When
 from pnm.core.logic.expressions import DURATION, UNDEFINED, Arithmetic, Constant, Expression, Fluent, ValueOf, Variable
 from pnm.core.logic.trajectory import Constraint
 from pnm.errors import InputError, counted
@@ -253,6 +254,11 @@ def effects(node: Node, scope: TermScope) -> Effects:
             scope.symbols.requirements.need(node, ":conditional-effects")
             first, second = operands(node, 2)
             return (When(condition(first, scope), effects(second, scope)),)
+        case _ if has_alternatives(node, scope):
+            return (OneOf(tuple([Alternative(effects(part, scope), chance) for part, chance in alternatives(node, scope)])),)
+        case operation if operation in OPERATIONS and node.rest and is_reward(node.rest[0], scope):
+            Leniency.REWARD.note(node, node)
+            return ()
         case "=":
             raise wrong(node, "'=' cannot stand in an effect; expected (assign FUNCTION VALUE)")
         case "or" | "imply" | "exists" as word:
@@ -263,6 +269,43 @@ def effects(node: Node, scope: TermScope) -> Effects:
                 return (_change(node, scope),)
             change = _change(flat.node, flat.scope)
             return (ForEach(tuple(flat.variables.values()), (When(conjunction(flat.values), (change,)),)),)
+
+
+def has_alternatives(node: Group, scope: TermScope) -> bool:
+    """Whether the part is ``(oneof ...)`` or ``(probabilistic ...)``, and no predicate of that name."""
+    return node.head in OUTCOMES and not scope.symbols.has_predicate(node.head)
+
+
+def alternatives(node: Group, scope: TermScope) -> list[tuple[Node, float | None]]:
+    """Return the effects of ``(oneof EFFECT ...)`` or ``(probabilistic CHANCE EFFECT ...)``, and the chance of each, None without any.
+
+    Where chances sum to less than 1, nothing happens with the rest of them.
+    """
+    scope.symbols.requirements.need(node, OUTCOMES[node.head])
+    parts = 1 if node.head == "oneof" else 2
+    if not node.rest or len(node.rest) % parts:
+        form = f"({node.head} {'EFFECT' if parts == 1 else 'CHANCE EFFECT'} ...)"
+        raise wrong(node, f"expected {form}, found {counted(len(node.rest), 'part')}")
+    if parts == 1:
+        return [(part, None) for part in node.rest]
+    chances: list[Fraction] = []
+    for part in node.rest[::2]:
+        try:
+            chances.append(Fraction(part.text if isinstance(part, Atom) else ""))
+        except (ValueError, ZeroDivisionError) as error:
+            raise wrong(part, f"expected a chance from 0 to 1, found {part}") from error
+        if not 0 <= chances[-1] <= 1:
+            raise wrong(part, f"expected a chance from 0 to 1, found {part}")
+    found: list[tuple[Node, float | None]] = [(part, float(chance)) for part, chance in zip(node.rest[1::2], chances, strict=True)]
+    rest = 1 - sum(chances)
+    if rest < -CHANCES_MISS:
+        raise wrong(node, f"the chances sum to {float(1 - rest):g}; expected 1 at most")
+    return [*found, (Group((), node.offset, node.source), float(rest))] if rest > CHANCES_MISS else found
+
+
+def is_reward(node: Node, scope: TermScope) -> bool:
+    """Whether the part is the reward of probabilistic planning, and no function of that name."""
+    return (node.head if isinstance(node, Group) else node.key) == "reward" and scope.symbols.find_function(node) is None
 
 
 def _change(node: Group, scope: TermScope) -> Set:

@@ -16,6 +16,7 @@ from itertools import chain, pairwise
 from pathlib import Path
 from typing import Final, Literal, TypeAlias
 
+from planner_bridge.model.determinization import check_outcomes
 from planner_bridge.model.problem import TOTAL_COST, Domain, Metric, Problem
 from planner_bridge.pddl.actions import DURATIVE, INSTANTANEOUS, actions
 from planner_bridge.pddl.comments import Anchor, AnchorPath, Comment, CommentTable, LineIndex, attach
@@ -35,7 +36,7 @@ from planner_bridge.pddl.expressions import (
     where,
     wrong,
 )
-from planner_bridge.pddl.formulas import TermScope, condition, constraints, split_preferences
+from planner_bridge.pddl.formulas import TermScope, condition, constraints, is_reward, split_preferences
 from planner_bridge.pddl.requirements import REFUSED_IN_INIT, Leniency, Requirements, requirements
 from planner_bridge.pddl.sections import Definition, define, typed_runs
 from planner_bridge.pddl.symbols import (
@@ -66,7 +67,10 @@ DOMAIN_SECTIONS: Final = (
 )
 MAX_READ: Final = 200_000
 """Choices of objects that the quantifiers of a problem may range over; planners cope with more than questions at run time may ask."""
-PROBLEM_SECTIONS: Final = (*(":domain", ":init", ":goal", ":objects", ":metric", ":constraints", ":requirements", ":length"), *NETWORK)
+PROBLEM_SECTIONS: Final = (
+    *(":domain", ":init", ":goal", ":goal-reward", ":objects", ":metric", ":constraints", ":requirements", ":length"),
+    *NETWORK,
+)
 _DIRECTIONS: Final[dict[str, Literal["minimize", "maximize"]]] = {"minimize": "minimize", "maximize": "maximize"}
 
 
@@ -157,6 +161,8 @@ def _problem(definition: Definition, domain: Domain, warnings: tuple[Tolerated, 
     _check_domain_name(definition, domain)
     if (length := definition.one(":length")) is not None:
         Leniency.LENGTH.note(length)
+    if (reward := definition.one(":goal-reward")) is not None:
+        Leniency.GOAL_REWARD.note(reward)
     words = requirements(definition.parts(":requirements"))
     needed = Requirements((*domain.requirements, *words, ":typing"))
     shared = SymbolTable(domain, domain.constants, needed)
@@ -193,6 +199,7 @@ def _problem(definition: Definition, domain: Domain, warnings: tuple[Tolerated, 
     objects = where((*definition.every(":objects"), definition.whole)[0])
     for what, choices in problem.ranges():
         check_choices(choices, objects, f"the quantifiers in {what}", MAX_READ)
+    check_outcomes(problem, objects)
     for fluent in missing_numbers(problem):
         Leniency.NUMBER_MISSING.note(definition.one(":init") or definition.whole, fluent_text(fluent))
     return replace(problem, warnings=(*domain.warnings, *warnings, *definition.whole.source.tolerated))
@@ -216,8 +223,11 @@ def _goal(section: Group, scope: TermScope) -> tuple[Condition, tuple[Preference
     return split_preferences(section.rest[0], scope)
 
 
-def _metric(section: Group, scope: TermScope) -> Metric:
+def _metric(section: Group, scope: TermScope) -> Metric | None:
     match section.rest:
+        case (Atom(), measure) if is_reward(measure, scope):
+            Leniency.REWARD.note(section, section)
+            return None
         case (Atom() as direction, expression) if direction.key in _DIRECTIONS:
             return Metric(_DIRECTIONS[direction.key], scope.expression(expression))
         case _:

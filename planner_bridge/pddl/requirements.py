@@ -27,9 +27,8 @@ class Refused(Enum):
     DURATION_AT_END = "durations that are decided at the end", "a bound that is only known when the action ends"
     CONDITIONAL_OVER_ALL = "conditional effects on a condition 'over all'", "a watch over what is not required"
     SENSING_ACTION = "sensing actions (:observe)", _CONTINGENT
-    ONEOF = "uncertain facts (oneof)", _CONTINGENT
     UNKNOWN = "uncertain facts (unknown)", _CONTINGENT
-    PROBABILISTIC = "probabilistic effects", "a probabilistic planner"
+    OUTCOMES_AT_START = "outcomes at the start of a durative action", "a request whose robot says how it has begun"
     OR_IN_INIT = "uncertain initial states (or in :init)", _CONTINGENT
     ONEOF_IN_INIT = "uncertain initial states (oneof in :init)", _CONTINGENT
     UNKNOWN_IN_INIT = "uncertain initial states (unknown in :init)", _CONTINGENT
@@ -41,7 +40,7 @@ class Refused(Enum):
 
 
 REFUSED_SECTIONS: Final[Mapping[str, Refused]] = {":process": Refused.PROCESS, ":event": Refused.EVENT, ":observe": Refused.SENSING_ACTION}
-REFUSED_HEADS: Final[Mapping[str, Refused]] = {"oneof": Refused.ONEOF, "unknown": Refused.UNKNOWN, "probabilistic": Refused.PROBABILISTIC}
+REFUSED_HEADS: Final[Mapping[str, Refused]] = {"unknown": Refused.UNKNOWN}
 """In the place of a predicate or function."""
 REFUSED_IN_INIT: Final[Mapping[str, Refused]] = {
     "or": Refused.OR_IN_INIT,
@@ -72,6 +71,10 @@ class Leniency(Enum):
     SYMBOL_TWICE = "the {} {!r} is declared twice, the first time in line {}; it takes the types of both"
     VARIABLE_TWICE = "the variable {} is there twice"
     DERIVED_UNDECLARED = "the predicate {!r} is derived here but not among the :predicates"
+
+    # rewards
+    GOAL_REWARD = "':goal-reward' is ignored: every plan reaches the goal"
+    REWARD = "rewards are ignored: {}"
 
     # names
     OBJECT_OF_PROBLEMS = "the object {} is not among the :constants; every problem has to declare it"

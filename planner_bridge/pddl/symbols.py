@@ -48,9 +48,12 @@ CONSTRAINTS: Final[Mapping[str, tuple[int, int]]] = {
 }
 """For every operator of a trajectory constraint, how many times and how many conditions it takes."""
 
+OUTCOMES: Final[Mapping[str, str]] = {"oneof": ":non-deterministic", "probabilistic": ":probabilistic-effects"}
+"""The words for effects that may turn out in several ways, and the requirement of each."""
 _PLACES: Final[Mapping[str, str]] = {
     "preference": "in a goal, a precondition or :constraints, and there only inside and, forall",
     "is-violated": "in :metric",
+    **dict.fromkeys(OUTCOMES, "in :effect"),
     **dict.fromkeys(CONSTRAINTS, "in :constraints"),
 }
 """The positions of words that are neither predicates nor functions."""

@@ -6,7 +6,7 @@ A model becomes nested lists of words first, which are then pretty-printed.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import groupby, takewhile
 from operator import attrgetter, itemgetter
@@ -17,7 +17,7 @@ from planner_bridge.pddl.comments import NO_COMMENTS, NO_NOTE, CommentTable, Lin
 from planner_bridge.pddl.expressions import NUMBER, TIME_SPECIFIERS, Atom, Node, number_text
 from pnm.core.logic.conditions import TRUE, All, Any, Compare, Computed, Condition, Exists, ForAll, Holds, Implies, Not, conjuncts
 from pnm.core.logic.domain import ActionSchema, Declaration, Preference
-from pnm.core.logic.effects import Effects, ForEach, Set, When, is_early
+from pnm.core.logic.effects import Effects, ForEach, OneOf, Set, When, is_early
 from pnm.core.logic.expressions import DURATION, Arithmetic, Constant, Expression, Fluent, Value, ValueOf, Variable
 from pnm.core.logic.rules import DerivationRule
 from pnm.core.logic.trajectory import Constraint
@@ -260,11 +260,21 @@ def _timed_effects(moment: str, effects: Effects) -> list[Form]:
             case When(early, (When(late, inner, early=False),), early=True):
                 both: Form = ["and", ["at", "start", condition_form(early)], ["at", moment, condition_form(late)]]
                 forms.append(["when", both, _timed_body(moment, inner)])
+            case OneOf() if is_early(effect):
+                forms.append(outcomes_form(effect, lambda effects: joined(_timed_effects(moment, effects))))
             case When(condition, inner, early):
                 forms.append(["when", ["at", "start" if early else moment, condition_form(condition)], _timed_body(moment, inner)])
             case _:
                 forms.append(["at", moment, effects_form((effect,))])
     return forms
+
+
+def outcomes_form(effect: OneOf, written: Callable[[Effects], Form]) -> Form:
+    """Return effects that may turn out in several ways as nested lists of words, given how effects are written."""
+    form: list[Form] = [effect.word]
+    for way in effect.alternatives:
+        form += [written(way.effects)] if way.chance is None else [number_text(way.chance), written(way.effects)]
+    return form
 
 
 def _timed_body(moment: str, effects: Effects) -> Form:
@@ -369,6 +379,8 @@ def effects_form(effects: Effects) -> Form:
                 forms.append([operation, list(fluent), expression_form(value)])
             case When(condition, inner):
                 forms.append(["when", condition_form(condition), effects_form(inner)])
+            case OneOf():
+                forms.append(outcomes_form(effect, effects_form))
             case ForEach(variables, inner):
                 forms.append(["forall", variables_form(variables), effects_form(inner)])
             case _:

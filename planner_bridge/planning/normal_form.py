@@ -11,12 +11,12 @@ from contextlib import suppress
 from dataclasses import dataclass, fields, replace
 from decimal import Decimal
 from itertools import chain, count
-from typing import Any, Final
+from typing import Any, Final, assert_never
 
 from planner_bridge.model.problem import Domain, Metric, Problem, once_per_domain
 from pnm.core.logic.conditions import TRUE, All, Compare, Condition, Exists, Holds, Not, conjuncts, every_part, ground, names
 from pnm.core.logic.domain import ActionSchema
-from pnm.core.logic.effects import Effects, ForEach, Set, TimedChange, When, ground_effects
+from pnm.core.logic.effects import Effects, ForEach, OneOf, Set, TimedChange, When, ground_effects
 from pnm.core.logic.expressions import (
     DURATION,
     Arithmetic,
@@ -44,22 +44,24 @@ class Assignment:
     variables: tuple[Variable, ...] = ()
     early: bool = False
     """Of an effect at the end of an action: its condition is decided at the start."""
+    uncertain: bool = False
+    """Of one of several outcomes."""
 
     @property
     def is_plain(self) -> bool:
         """Whether it always happens, once."""
-        return self.condition == TRUE and not self.variables
+        return self.condition == TRUE and not self.variables and not self.uncertain
 
 
 def assignments(effects: Effects, parameters: Iterable[Variable] = ()) -> tuple[Assignment, ...]:
     """Return the effects of one moment of an action without nesting, scaling, and deletes that an add undoes.
 
     Two facts that differ in nothing but parameters are taken for different ones: whether they
-    are is known only when the action is ground.
+    are is known only when the action is ground. Of several outcomes those of all are there.
     """
     taken = {variable.name for variable in parameters}
     flat = list(_flat(effects, (), TRUE, False, taken))
-    adds = [change for change in flat if change.value == Constant(True)]
+    adds = [change for change in flat if change.value == Constant(True) and not change.uncertain]
     needed = (_unless_added(change, adds) if change.value == Constant(False) else change for change in flat)
     return tuple(change for change in needed if change is not None)
 
@@ -83,6 +85,10 @@ def _flat(effects: Effects, variables: tuple[Variable, ...], condition: Conditio
                 taken |= {*fresh.values()}
                 renamed = tuple(replace(variable, name=fresh[variable.name]) for variable in bound)
                 yield from _flat(ground_effects(body, fresh), (*variables, *renamed), condition, early, taken)
+            case OneOf():
+                yield from (replace(change, uncertain=True) for change in _flat(effect.effects, variables, condition, early, taken))
+            case _:
+                assert_never(effect)
 
 
 def _both(left: Condition, right: Condition) -> Condition:

@@ -14,11 +14,11 @@ from math import inf
 from typing import TYPE_CHECKING, Final
 
 from planner_bridge.model.grounding import initial_knowledge
-from planner_bridge.model.plan import CancelToken, Plan, PlanningResult
+from planner_bridge.model.plan import CancelToken, Plan, PlanningResult, PlanningStatus
 from planner_bridge.model.problem import TOTAL_TIME, Problem
 from planner_bridge.model.progression import Happening, NotApplicable, Progression, Stage, calls_of, happenings, refuse, snapshot
 from planner_bridge.planning.kairos import DEFAULT_PLANNER, parse_for_kairos, search, validate
-from planner_bridge.planning.validate import InvalidPlan, last_state, validated
+from planner_bridge.planning.validate import InvalidPlan, explained, last_state, validated
 from pnm.core.knowledge_base import KnowledgeBase
 from pnm.core.logic.conditions import Condition, Holds, Not, conjuncts, evaluate, fluents, names
 from pnm.core.logic.effects import possible_assignments
@@ -56,6 +56,8 @@ def solve(
 ) -> PlanningResult:
     """Search for a plan, validate it, and leave out what it does not need, at most `timeout` seconds.
 
+    Of an action with several outcomes the plan expects the one that suits it, as if it could choose.
+
     Args:
         planner: kairos, an engine of unified-planning, ``race`` for several at once, or ``race:kairos,aries`` for these.
         timeout: seconds that the search may take, besides the time to load a planner; a plan that is found late keeps what it has.
@@ -72,6 +74,24 @@ def solve(
     check_kinds("solve", {"problem": (problem, Problem), "planner": (planner, str)})
     check_seconds("the search for a plan", timeout)
     check_seconds("the search for a better plan", improve)
+    if problem.domain.uncertain:
+        if problem.has_tasks:
+            message = "task networks with actions that have several outcomes"
+            return PlanningResult(PlanningStatus.UNSUPPORTED, message=message, planner=planner)
+        from planner_bridge.model.determinization import determinization  # here, because most actions have one outcome
+
+        each = determinization(problem)
+        found = solve(
+            each.problem,
+            planner=planner,
+            timeout=timeout,
+            improve=improve,
+            cancel=cancel,
+            executor=executor,
+            bindings=bindings and each.bindings(bindings),
+            learned=learned and each.rates(learned),
+        )
+        return explained(problem, found) if found.plan is None else replace(found, plan=each.plan(found.plan))
     asked, rates = problem, None
     if bindings or learned:
         from planner_bridge.model.exclusive_resources import with_turns  # here, because most problems are about no robot that is known

@@ -45,7 +45,7 @@ from pnm.core.logic.effects import assignments, possible_assignments
 from pnm.core.logic.expressions import UNKNOWN, Constant, Expression, Fluent, State, Unknown, Value, fluent_text, value_of
 from pnm.core.logic.trajectory import moments, observed_of
 from pnm.core.machine.plan_graph import GroundAction, Moment
-from pnm.errors import PnmError
+from pnm.errors import InputError, PnmError
 
 DURATION_TOLERANCE: Final = 1e-3
 """Seconds by which a duration may miss its bounds."""
@@ -152,7 +152,11 @@ def _steps(problem: Problem, plan: Plan) -> list[_Step]:
             raise InvalidPlan(f"step {index + 1}, {step}, {wrong}")
         schema = problem.domain.actions[step.action]
         duration = None if schema.duration is None else step.duration
-        steps.append(_Step(index + 1, schema, ground_step(problem.domain, step.action, step.arguments, duration), duration or 0.0))
+        try:
+            action = ground_step(problem.domain, step.action, step.arguments, duration, step.outcome, problem.members)
+        except InputError as error:
+            raise InvalidPlan(f"step {index + 1}, {step}, is wrong: {error}") from error
+        steps.append(_Step(index + 1, schema, action, duration or 0.0))
     return steps
 
 

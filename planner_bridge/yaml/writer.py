@@ -15,7 +15,7 @@ from planner_bridge.pddl.expressions import number_text
 from planner_bridge.yaml.emitter import Bare, Entry, Value, YamlList, YamlMapping, depth, document, items, single
 from pnm.core.logic.conditions import TRUE, All, Any, Compare, Computed, Condition, Exists, ForAll, Holds, Implies, Not, conjuncts
 from pnm.core.logic.domain import ActionSchema, Declaration, DurationConstraint, Preference
-from pnm.core.logic.effects import Effects, ForEach, Set, When
+from pnm.core.logic.effects import Effects, ForEach, OneOf, Set, When
 from pnm.core.logic.expressions import Arithmetic, Constant, Expression, ValueOf, Variable, fluent_text
 from pnm.core.logic.trajectory import Constraint
 from pnm.core.machine.bindings import DEFAULT, NO_BINDINGS, Binding, Bindings, Foreign, Table, WhenLost
@@ -254,6 +254,8 @@ def effects(listed: Effects, notes: Notes) -> YamlList:
                 written = single("when", YamlMapping((tested, Entry(effects(inner, own), "effects"))))
             case ForEach(variables, inner):
                 written = single("forall", _quantified(variables, "effects", effects(inner, own)))
+            case OneOf():
+                raise InputError(f"outcomes cannot be written yet: {effect}")
             case _:
                 assert_never(effect)
         entries.append(Entry(written, note=own.take()))

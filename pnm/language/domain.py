@@ -7,14 +7,14 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from math import isfinite
-from typing import Final
+from typing import Final, assert_never
 
 from pnm.actions.bindings_file import read_binding
 from pnm.core.knowledge_base import parse_statement
 from pnm.core.logic.computed_values import Data, Query, parts
 from pnm.core.logic.conditions import TRUE, Condition, fluents, free_variables
 from pnm.core.logic.domain import ActionSchema, Declaration, DomainModel, ProblemModel, Types
-from pnm.core.logic.effects import Effects, ForEach, Set, TimedChange, When, is_early
+from pnm.core.logic.effects import Effects, ForEach, OneOf, Set, TimedChange, When, is_early
 from pnm.core.logic.expressions import DURATION, Constant, Fluent, Value, Variable, expression_variables, fluent_text, variables_in
 from pnm.core.logic.rules import DerivationRule, Rules, UnstratifiedError
 from pnm.core.machine.bindings import DEFAULT, Binding
@@ -99,6 +99,10 @@ def _in_effects(effects: Effects, *, values: bool = False) -> frozenset[str]:
                 names |= (free_variables(condition) if values else _in_fluents(condition)) | _in_effects(inner, values=values)
             case ForEach(variables, inner):
                 names |= _in_effects(inner, values=values) - {variable.name for variable in variables}
+            case OneOf():
+                names |= _in_effects(effect.effects, values=values)
+            case _:
+                assert_never(effect)
     return frozenset(names)
 
 

@@ -65,6 +65,7 @@ def ready(action: GroundAction, context: EvaluationContext) -> GroundAction:
         expected=conditions.ground(action.expected, env),
         start_effects=ground_effects(action.start_effects, env),
         end_effects=ground_effects(action.end_effects, env),
+        outcomes=tuple([replace(way, effects=ground_effects(way.effects, env)) for way in action.outcomes]),
     )
     context.ready[:] = [(action, env, made)]
     return made

@@ -13,7 +13,7 @@ from math import isfinite
 from typing import Final, Literal, TypeAlias
 
 from pnm.core.logic.conditions import TRUE, Condition, choices_in
-from pnm.core.logic.effects import Effects, TimedChange, choices_in_effects
+from pnm.core.logic.effects import Effects, TimedChange, choices_in_effects, has_outcomes
 from pnm.core.logic.expressions import UNDEFINED, Expression, Fluent, Unknown, Value, Variable, fluent_text
 from pnm.core.logic.rules import NO_RULES, Rules
 from pnm.core.logic.trajectory import Constraint
@@ -114,6 +114,11 @@ class DomainModel:
     def fluents(self) -> dict[str, Declaration]:
         """Predicates and functions; of two with the same name, the function."""
         return {**self.predicates, **self.functions}
+
+    @cached_property
+    def uncertain(self) -> frozenset[str]:
+        """The actions that may turn out in several ways."""
+        return frozenset(name for name, schema in self.actions.items() if has_outcomes(schema.end_effects))
 
     @property
     def parameters(self) -> dict[str, dict[str, Types]]:

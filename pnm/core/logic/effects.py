@@ -2,14 +2,17 @@
 
 Effects are simultaneous: every condition and every right-hand side is evaluated in the
 state before, and a fact both deleted and added is added (PDDL 2.1, section 8).
+
+An action may turn out in several ways: `OneOf`. What happens is then one of its `outcomes`, and only that has `changes`.
 """
 
 from __future__ import annotations
 
 import operator
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass
-from math import prod
+from dataclasses import dataclass, replace
+from itertools import product
+from math import isclose, prod
 from typing import Final, TypeAlias, assert_never
 
 from pnm.core.logic.conditions import Condition, Count, choices_in, evaluate, fluents, ground
@@ -35,6 +38,7 @@ from pnm.core.logic.expressions import (
     same_value,
     value_of,
 )
+from pnm.errors import InputError
 
 _ARITHMETIC: Final[dict[str, Callable[[float, float], float]]] = {
     "increase": operator.add,
@@ -85,7 +89,41 @@ class ForEach:
         return f"(forall ({' '.join(map(str, self.variables))}) {effects_text(self.effects)})"
 
 
-Effect: TypeAlias = Set | When | ForEach
+@dataclass(frozen=True, slots=True)
+class Alternative:
+    """A way in which effects may turn out."""
+
+    effects: Effects = ()
+    chance: float | None = None
+    """From 0 to 1; None where nothing is known, and then each is taken to be as likely as the others."""
+    name: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class OneOf:
+    """The effects of one of the alternatives happen, and nobody decides which (`oneof` and `probabilistic` of PDDL).
+
+    Either all of them have a chance, and these sum to 1, or none has.
+    """
+
+    alternatives: tuple[Alternative, ...]
+
+    @property
+    def effects(self) -> Effects:
+        """The effects of all alternatives."""
+        return tuple([effect for way in self.alternatives for effect in way.effects])
+
+    def __str__(self) -> str:
+        parts = (f"{'' if way.chance is None else f'{way.chance:g} '}{effects_text(way.effects)}" for way in self.alternatives)
+        return f"({' '.join((self.word, *parts))})"
+
+    @property
+    def word(self) -> str:
+        """The word of PDDL for it."""
+        return "oneof" if any(way.chance is None for way in self.alternatives) else "probabilistic"
+
+
+Effect: TypeAlias = Set | When | ForEach | OneOf
 Effects: TypeAlias = tuple[Effect, ...]
 Changes: TypeAlias = dict[Fluent, Value | Unknown]
 
@@ -152,6 +190,8 @@ def choices_in_effects(effects: Effects, count: Count, around: int = 0) -> int:
                 total += choices_in(condition, count, around) + choices_in_effects(inner, count, around)
             case ForEach(variables, inner):
                 total += choices_in_effects(inner, count, max(1, around) * prod(count(variable.types) for variable in variables))
+            case OneOf():
+                total += choices_in_effects(effect.effects, count, around)
             case _:
                 assert_never(effect)
     return total
@@ -162,16 +202,24 @@ def expanded(
 ) -> Iterator[tuple[Set | When, Environment]]:
     """Yield every `Set` and `When` at any depth, once for every choice of objects, with its environment.
 
-    With `happening`, those under conditions only where these hold in the state.
+    With `happening`, those under conditions only where these hold in the state; which alternative it is must be decided before.
     """
     for effect in effects:
-        if isinstance(effect, ForEach):
-            for chosen in choices(effect.variables, state, env):
-                yield from expanded(effect.effects, state, chosen, happening=happening)
-        else:
-            yield effect, env
-            if isinstance(effect, When) and not (happening and evaluate(effect.condition, state, env) is not True):
-                yield from expanded(effect.effects, state, env, happening=happening)
+        match effect:
+            case ForEach(variables, inner):
+                for chosen in choices(variables, state, env):
+                    yield from expanded(inner, state, chosen, happening=happening)
+            case OneOf():
+                assert not happening, f"one of the outcomes happens, and none was chosen: {effect}"
+                yield from expanded(effect.effects, state, env)
+            case Set():
+                yield effect, env
+            case When(condition, inner):
+                yield effect, env
+                if not happening or evaluate(condition, state, env) is True:
+                    yield from expanded(inner, state, env, happening=happening)
+            case _:
+                assert_never(effect)
 
 
 def decided(effects: Effects, state: State) -> Effects:
@@ -191,6 +239,8 @@ def decided(effects: Effects, state: State) -> Effects:
             case ForEach(variables, inner):
                 for chosen in choices(variables, state, NOTHING):
                     result.extend(decided(ground_effects(inner, chosen), state))
+            case OneOf(alternatives):
+                result.append(OneOf(tuple([replace(way, effects=decided(way.effects, state)) for way in alternatives])))
             case _:
                 assert_never(effect)
     return tuple(result)
@@ -265,6 +315,8 @@ def ground_effects(effects: Effects, env: Environment) -> Effects:
                 result.append(When(ground(condition, env), ground_effects(inner, env), early))
             case ForEach(variables, inner):
                 result.append(ForEach(variables, ground_effects(inner, hidden(env, variables))))
+            case OneOf(alternatives):
+                result.append(OneOf(tuple([replace(way, effects=ground_effects(way.effects, env)) for way in alternatives])))
             case _:
                 assert_never(effect)
     return tuple(result)
@@ -308,3 +360,70 @@ def facts(effects: Iterable[Effect], state: State) -> Changes | None:
         return None
     assigned = changes(flat, state)
     return None if any(map(is_number, assigned.values())) else assigned
+
+
+# --- outcomes -------------------------------------------------------------------------------------
+
+CHANCES_MISS: Final = 1e-6
+"""The amount by which chances may miss 1 in sum: people write 0.333333 for a third."""
+MAX_OUTCOMES: Final = 64
+"""Outcomes of one action at most."""
+
+
+def has_outcomes(effects: Effects) -> bool:
+    """Return whether the effects may turn out in several ways."""
+    return any(isinstance(effect, OneOf) for effect in every_effect(effects))
+
+
+def outcomes(effects: Effects, state: State) -> tuple[Alternative, ...]:
+    """Return every way in which the effects may turn out, none of them with a `OneOf` in it; one for effects without any.
+
+    Those of several `OneOf` are combined; one inside a `ForEach` is there for every choice of objects, one inside a `When` happens under
+    its condition. Equal ones are one, as likely as they are together, and those that cannot come about are left out. Their chances
+    are None if none is declared and all are as likely. An alternative without a name is called by its number, from 1 on; combined
+    ones by both names, such as ``slipped+2``.
+
+    Raises an `InputError` for more than `MAX_OUTCOMES`.
+    """
+    if not has_outcomes(effects):
+        return (Alternative(effects),)
+    ways = _ways(effects, state)
+    parts = (effect for effect in every_effect(effects) if isinstance(effect, OneOf))
+    is_told = any(way.chance is not None for part in parts for way in part.alternatives)
+    if is_told or not all(isclose(chance, ways[0][1]) for _, chance, _ in ways):
+        return tuple([Alternative(*way) for way in ways])
+    return tuple([Alternative(happening, None, name) for happening, _, name in ways])
+
+
+def _ways(effects: Effects, state: State) -> list[tuple[Effects, float, str]]:
+    """Return the outcomes: what happens, how likely it is, its name."""
+    found: list[tuple[Effects, float, str]] = [((), 1.0, "")]
+    for effect in effects:
+        match effect:
+            case OneOf(alternatives):
+                even = 1.0 / len(alternatives)
+                ways = [
+                    (inner, (even if way.chance is None else way.chance) * chance, "+".join(filter(None, (way.name or str(number), name))))
+                    for number, way in enumerate(alternatives, 1)
+                    for inner, chance, name in _ways(way.effects, state)
+                ]
+            case When(condition, inner, early) if has_outcomes(inner):
+                ways = [((When(condition, then, early),) if then else (), chance, name) for then, chance, name in _ways(inner, state)]
+            case ForEach(variables, inner) if has_outcomes(inner):
+                every = [ground_effects(inner, chosen) for chosen in choices(variables, state, NOTHING)]
+                ways = _ways(tuple([one for body in every for one in body]), state)
+            case _:
+                ways = [((effect,), 1.0, "")]
+        merged: dict[object, tuple[Effects, float, str]] = {}
+        for (before, likely, first), (after, chance, second) in product(found, ways):
+            both, name = (*before, *after), "+".join(filter(None, (first, second)))
+            if is_plain := constants(both) is not None:
+                both = tuple(dict.fromkeys(both))
+            # those that only their numbers tell apart are one
+            same = frozenset(both) if is_plain else both, tuple([part for part in name.split("+") if not part.isdigit()])
+            known = merged.get(same, (both, 0.0, name))
+            merged[same] = known[0], known[1] + likely * chance, known[2]
+        found = [way for way in merged.values() if way[1]]
+        if len(found) > MAX_OUTCOMES:
+            raise InputError(f"an action may turn out in more than {MAX_OUTCOMES} ways; expected {MAX_OUTCOMES} at most")
+    return found

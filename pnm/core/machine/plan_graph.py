@@ -19,13 +19,13 @@ from pnm.core import notebook
 from pnm.core.logic.computed_values import Data, KnowledgeOperation
 from pnm.core.logic.conditions import TRUE, Condition, ground, names
 from pnm.core.logic.domain import ActionSchema
-from pnm.core.logic.effects import Effects, ground_effects, names_written
-from pnm.core.logic.expressions import DURATION, Environment, Fluent, fluent_text
+from pnm.core.logic.effects import Alternative, Effects, ground_effects, has_outcomes, names_written, outcomes
+from pnm.core.logic.expressions import DURATION, Environment, Fluent, State, fluent_text
 from pnm.core.logic.rules import NO_RULES, Rules
 from pnm.core.machine.failure_causes import Cause
 from pnm.core.net.orders import reduced, topological_order
 from pnm.core.resources import check_capacity
-from pnm.errors import PnmError
+from pnm.errors import InputError, PnmError
 
 
 class PlanGraphError(PnmError):
@@ -64,22 +64,37 @@ class GroundAction:
     """Resources that the action has for itself while it is under way, such as an arm; ``{robot}`` stands for an argument."""
     returns: tuple[tuple[str, Data], ...] = ()
     """The answer of a simulated server: result fields, computed from the goal and from the world at the end."""
+    outcomes: tuple[Alternative, ...] = ()
+    """Every way in which it may turn out, with all effects of its end; empty if there is only one."""
+    outcome: str = ""
+    """The name of the one that the plan expects, whose effects are the end effects."""
 
     def __str__(self) -> str:
         return f"{self.name}({', '.join(self.arguments)})"
 
 
-def ground_schema(schema: ActionSchema, arguments: tuple[str, ...], env: Environment, duration: float | None = None) -> GroundAction:
+def ground_schema(
+    schema: ActionSchema, arguments: tuple[str, ...], env: Environment, state: State, duration: float | None = None, outcome: str = ""
+) -> GroundAction:
     """Substitute values for the parameters of a schema.
 
     Args:
         schema: the action.
         arguments: how the values are written, in the order of the parameters.
         env: the values, by parameter with ``?``; a parameter without one stays.
+        state: has the objects for which outcomes may differ.
         duration: the planned one, in seconds.
+        outcome: the name of the expected one; the first by default.
+
+    Raises an `InputError` if there is no such outcome, or there are too many.
     """
     if duration is not None:
         env = {**env, DURATION[0]: duration}
+    end_effects = ground_effects(schema.end_effects, env)
+    ways = outcomes(end_effects, state) if has_outcomes(end_effects) else ()
+    expected = next((way for way in ways if not outcome or way.name == outcome), None)
+    if outcome and expected is None:
+        raise InputError(f"{schema.name} has no outcome {outcome!r}; it has {', '.join(way.name for way in ways) or 'only one'}")
     return GroundAction(
         name=schema.name,
         arguments=arguments,
@@ -88,9 +103,11 @@ def ground_schema(schema: ActionSchema, arguments: tuple[str, ...], env: Environ
         invariant=ground(schema.invariant, env),
         end_condition=ground(schema.end_condition, env),
         start_effects=ground_effects(schema.start_effects, env),
-        end_effects=ground_effects(schema.end_effects, env),
+        end_effects=expected.effects if expected else end_effects,
         duration=duration,
         expected=ground(schema.expected, env),
+        outcomes=ways if len(ways) > 1 else (),
+        outcome=expected.name if expected and len(ways) > 1 else "",
     )
 
 

@@ -266,8 +266,8 @@ class WrittenEffects:
 def read_effects(node: Node, scope: FormulaScope = ANYTHING) -> WrittenEffects:
     """Read effects: a list, or one of them."""
     parts = _parts(node, scope)
-    effects = tuple(part for part in parts if isinstance(part, Set | When | ForEach))
-    tests = [part for part in parts if not isinstance(part, Set | When | ForEach)]
+    effects = tuple(part for part in parts if isinstance(part, Effect))
+    tests = [part for part in parts if not isinstance(part, Effect)]
     return WrittenEffects(effects, conjunction(tests))
 
 

@@ -35,6 +35,8 @@ NEEDED = {
     "(:action a :effect (increase (n) 1))": ":numeric-fluents",
     "(:action a :effect (increase (total-cost) (n)))": ":action-costs",
     "(:action a :effect (increase (total-cost) (+ (n) 1)))": ":numeric-fluents",
+    "(:action a :effect (oneof (p) (and)))": ":non-deterministic",
+    "(:action a :effect (probabilistic 1 (p)))": ":probabilistic-effects",
     "(:durative-action a :duration ())": ":durative-actions",
     "(:derived (p) (p))": ":derived-predicates",
     "(:constraints (always (p)))": ":constraints",

@@ -209,6 +209,8 @@ PROBLEMS = [
     ("(:init (= (charge r2) 1) (= (charge r2) 2))", ["2:26: warning: (charge r2) has another value before; this one is used"]),
     ("(:init (assign (charge r2) 5))", ["2:8: warning: 'assign' is read as '='"]),
     ("(:length (:serial 3))", ["2:1: warning: ':length' is ignored"]),
+    ("(:goal-reward 100)", ["2:1: warning: ':goal-reward' is ignored: every plan reaches the goal"]),
+    ("(:metric maximize (reward))", ["2:1: warning: rewards are ignored: (:metric ...)"]),
     ("(:goal (not (idle)))", ["2:1: warning: a second :goal section, read as part of the first in line 2"]),
 ]
 

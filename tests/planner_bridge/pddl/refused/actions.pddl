@@ -145,6 +145,36 @@
 (:action a :effect (increase (total) 1))
 ;! 2:31: unknown function 'total'; did you mean 'total-cost'?
 
+(:action a :effect (oneof))
+;! 2:20: expected (oneof EFFECT ...), found 0 parts
+
+(:action a :effect (probabilistic 0.5))
+;! 2:20: expected (probabilistic CHANCE EFFECT ...), found 1 part
+
+(:action a :effect (probabilistic (idle) 0.5))
+;! 2:35: expected a chance from 0 to 1, found (idle)
+
+(:action a :effect (probabilistic half (idle)))
+;! 2:35: expected a chance from 0 to 1, found 'half'
+
+(:action a :effect (probabilistic 1/0 (idle)))
+;! 2:35: expected a chance from 0 to 1, found '1/0'
+
+(:action a :effect (probabilistic -0.1 (idle)))
+;! 2:35: expected a chance from 0 to 1, found '-0.1'
+
+(:action a :effect (probabilistic 1.5 (idle)))
+;! 2:35: expected a chance from 0 to 1, found '1.5'
+
+(:action a :effect (probabilistic 0.7 (idle) 0.5 (and)))
+;! 2:20: the chances sum to 1.2; expected 1 at most
+
+(:action a :effect (oneof (or (idle))))
+;! 2:27: 'or' cannot stand in an effect; expected a fact, not, forall, when or assign
+
+(:action a :precondition (oneof (idle) (and)))
+;! 2:27: 'oneof' cannot stand here; expected it in :effect
+
 (:durative-action a)
 ;! 2:1: the durative action 'a' has no :duration; expected :duration (= ?duration ...), or () for any
 

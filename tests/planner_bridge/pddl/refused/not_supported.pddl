@@ -9,11 +9,11 @@
 (:action a :observe (idle))
 ;! 2:12: sensing actions (:observe) are not supported yet; a contingent planner, which unified-planning lacks, would be needed
 
-(:action a :effect (oneof (idle) (and)))
-;! 2:20: uncertain facts (oneof) are not supported yet; a contingent planner, which unified-planning lacks, would be needed
+(:durative-action a :duration () :effect (at start (oneof (idle) (and))))
+;! 2:52: outcomes at the start of a durative action are not supported yet; a request whose robot says how it has begun would be needed
 
-(:action a :effect (probabilistic 0.5 (idle)))
-;! 2:20: probabilistic effects are not supported yet; a probabilistic planner would be needed
+(:durative-action a :duration () :effect (oneof (at start (idle)) (at end (idle))))
+;! 2:42: outcomes at the start of a durative action are not supported yet; a request whose robot says how it has begun would be needed
 
 (:durative-action a :parameters (?r - robot) :duration () :effect (increase (charge ?r) (* #t 2)))
 ;! 2:92: continuous effects (#t) are not supported yet; a simulation of change over time would be needed
