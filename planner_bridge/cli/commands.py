@@ -48,10 +48,6 @@ Each has the first line of its help here as well: the list of all commands impor
 """
 
 
-_IMPROVE: Final = 0.04
-"""Seconds in which `pnm plan` looks for a better plan with times or a metric, if nothing else is said: people look, and no robot moves."""
-
-
 class Commands(click.Group):
     """The commands, here and elsewhere."""
 
@@ -111,29 +107,22 @@ def plan(
 ) -> int:
     """Find and print a plan."""
     from planner_bridge.model.plan import PlanningStatus
-    from planner_bridge.pipeline.loading import bindings_beside, bindings_for, rates_beside, rates_for
     from planner_bridge.planning.kairos import DEFAULT_PLANNER
-    from planner_bridge.planning.solve import solve
 
     if as_json and (written_as != "text" or output):
         raise InputError("--json prints a plan as JSON; expected no --format or --output with it")
     if output:
         options.check_output(output, force=force)
-    loaded = options.problem_in(domain, problem)
-    bound = bindings_for(domain, bindings, loaded.vocabulary) if bindings or bindings_beside(domain) else None
-    thought = _IMPROVE if improve is None and (loaded.is_timed or loaded.metric) else improve
-    with options.searching(planner, planner_timeout):
-        learned = rates_for(domain, rates) if rates or rates_beside(domain) else None
-        result = solve(loaded, planner=planner, timeout=planner_timeout, improve=thought, bindings=bound, learned=learned)
+    files = domain, problem
+    loaded, result, bound, learned = options.planned(files, bindings, rates, planner, planner_timeout, improve, is_looked_at=True)
     odds = None
     if result.plan is not None and learned is not None and learned.calls:
         from planner_bridge.pipeline.roll_outs import odds_of_goal
         from planner_bridge.tasks.settings import Settings
         from pnm.actions.faults import NO_FAULTS
+        from pnm.core.machine.bindings import NO_BINDINGS
 
-        odds = odds_of_goal(
-            loaded, result.plan, Settings(bindings=bindings_for(domain, bindings, loaded.vocabulary)), NO_FAULTS, learned, seconds=0.0
-        )
+        odds = odds_of_goal(loaded, result.plan, Settings(bindings=bound or NO_BINDINGS), NO_FAULTS, learned, seconds=0.0)
     if as_json:
         steps = [
             {"action": step.action, "arguments": [*step.arguments], "start": round(step.start, 6), "duration": round(step.duration, 6)}
@@ -182,6 +171,7 @@ def plan(
 @options.output_options
 @click.option("-v", "--verbose", is_flag=True, help="list the transitions that can never fire, with the reason")
 @options.bindings_option
+@options.rates_option
 @options.planning
 @command
 def net(
@@ -196,6 +186,7 @@ def net(
     force: bool,
     verbose: bool,
     bindings: Path | None,
+    rates: Path | None,
     planner: str,
     planner_timeout: float,
     improve: float | None,
@@ -205,8 +196,7 @@ def net(
     A planner finds the plan, or --plan names a hand-written one.
     """
     from planner_bridge.ordering.plan_to_graph import plan_graph
-    from planner_bridge.pipeline.loading import bindings_for
-    from planner_bridge.planning.solve import solve
+    from pnm.core.machine.bindings import NO_BINDINGS
     from pnm.core.machine.generate import generate
     from pnm.core.machine.verification.verify import verify
     from pnm.core.pictures.export import to_dot, to_json
@@ -226,16 +216,13 @@ def net(
         own = read_bindings(bindings).before(plan.bindings) if bindings else plan.bindings
         machine = generate(plan.graph, own, on_failure=plan.on_failure)
     else:
-        loaded = options.problem_in(*chosen)
-        bound = bindings_for(chosen[0], bindings, loaded.vocabulary)
-        with options.searching(planner, planner_timeout):
-            result = solve(loaded, planner=planner, timeout=planner_timeout, improve=improve, bindings=bound)
+        loaded, result, bound, _ = options.planned(chosen, bindings, rates, planner, planner_timeout, improve)
         if result.plan is None:
             from planner_bridge.cli.console import SafeConsole
 
             SafeConsole(stderr=True).print_reason("no plan:", result.reason)
             return 1
-        machine = generate(plan_graph(loaded, result.plan), bound)
+        machine = generate(plan_graph(loaded, result.plan), bound or NO_BINDINGS)
     proof = verify(machine)
     match written_as, level:
         case "json", _:
@@ -269,11 +256,12 @@ def simulate(
     """
     from planner_bridge.node.simulate import play
     from planner_bridge.pipeline.loading import bindings_for
+    from pnm.core.machine.bindings import NO_BINDINGS
 
     if log:
         options.check_output(log, force=force)
     loaded = options.problem_in(domain, problem)
-    bound = bindings_for(domain, bindings, loaded.vocabulary)
+    bound = bindings_for(domain, bindings, loaded.vocabulary) or NO_BINDINGS
     return play(loaded, bound, options.faults_in(faults, loaded.vocabulary), speed or (1.0 if loaded.timed else 20.0), log)
 
 

@@ -12,9 +12,7 @@ from planner_bridge.cli.console import SafeConsole
 from planner_bridge.cli.options import command
 from planner_bridge.pipeline.loading import bindings_for, rates_for
 from planner_bridge.pipeline.roll_outs import SECONDS, odds_of_goal, odds_of_plan
-from planner_bridge.planning.solve import solve
-from planner_bridge.tasks.replanning import Limits
-from planner_bridge.tasks.settings import Settings
+from planner_bridge.tasks.settings import DEFAULTS, Settings
 from pnm.errors import InputError
 
 
@@ -25,7 +23,9 @@ from pnm.errors import InputError
 @options.faults_option
 @options.rates_option
 @options.planning
-@click.option("--replans", type=click.IntRange(0), default=100, show_default=True, help="new machines after the first, at most")
+@click.option(
+    "--replans", type=click.IntRange(0), default=DEFAULTS.limits.replans, show_default=True, help="new machines after the first, at most"
+)
 @click.option("--seconds", type=options.Seconds(0), default=SECONDS, show_default=True, help="seconds of processor time for roll-outs")
 @options.as_json_option
 @command
@@ -52,26 +52,23 @@ def odds(
     robots. Chances of single attempts are those that --faults declares for simulated robots, or else the learned ones of --rates; what
     is not known is assumed.
     """
-    chosen, settings = options.chosen_files(domain, problem, plan_file), Settings(planner, planner_timeout, limits=Limits(replans=replans))
+    chosen = options.chosen_files(domain, problem, plan_file)
+    settings = Settings(planner, planner_timeout, limits=replace(DEFAULTS.limits, replans=replans))
     if isinstance(chosen, Path):
-        settings = replace(settings, bindings=bindings_for(None, bindings, None))
+        settings = replace(settings, bindings=bindings_for(None, bindings, None) or DEFAULTS.bindings)
         known, parameters = options.faults_in(faults, None), options.plan_parameters(given)
-        found = odds_of_plan(chosen, name, parameters, settings, known, rates_for(None, rates), seconds=seconds)
+        found = odds_of_plan(chosen, name, parameters, settings, known, rates_for(None, rates) or DEFAULTS.learned, seconds=seconds)
     else:
         if name or given:
             raise InputError("--name and --set belong to hand-written plans; expected --plan and a file")
-        loaded = options.problem_in(*chosen)
-        settings = replace(settings, bindings=bindings_for(chosen[0], bindings, loaded.vocabulary))
-        with options.searching(planner, planner_timeout):
-            learned, bound = rates_for(chosen[0], rates), settings.bindings
-            result = solve(loaded, planner=planner, timeout=planner_timeout, improve=improve, bindings=bound, learned=learned)
+        loaded, result, bound, learned = options.planned(chosen, bindings, rates, planner, planner_timeout, improve)
         if result.plan is None:
             SafeConsole(stderr=as_json).print_reason("no plan:", result.reason)
             if as_json:
                 options.print_json({"chance": None, "alone": None, "with_new_plans": None, "reason": result.reason})
             return 1
-        known = options.faults_in(faults, loaded.vocabulary)
-        found = odds_of_goal(loaded, result.plan, settings, known, learned, seconds=seconds)
+        settings, known = replace(settings, bindings=bound or DEFAULTS.bindings), options.faults_in(faults, loaded.vocabulary)
+        found = odds_of_goal(loaded, result.plan, settings, known, learned or DEFAULTS.learned, seconds=seconds)
     if as_json:
         options.print_json(found.as_json())
     else:

@@ -11,12 +11,12 @@ from contextlib import AbstractContextManager, nullcontext
 from functools import wraps
 from math import isfinite
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, ParamSpec
+from typing import TYPE_CHECKING, Any, Final, NamedTuple, ParamSpec
 
 import click
 
 from planner_bridge.model.problem import Problem
-from planner_bridge.pipeline.loading import load, warning_lines
+from planner_bridge.pipeline.loading import bindings_for, load, rates_for, warning_lines
 from pnm.errors import InputError, PnmError, Tolerated
 from pnm.files.database.place import place_of
 from pnm.files.text import secret_in, write_private
@@ -25,9 +25,12 @@ from pnm.signals import CANCELLED, LAST_WORDS, LEAVING, interruptible, leave_wit
 if TYPE_CHECKING:
     from rich.console import Console
 
+    from planner_bridge.model.plan import PlanningResult
+    from planner_bridge.model.rates import Rates
     from planner_bridge.view.serving import Controlled, PageProcess
     from pnm.actions.faults import Faults
     from pnm.core.logic.domain import Vocabulary
+    from pnm.core.machine.bindings import Bindings
 
 
 P = ParamSpec("P")
@@ -257,6 +260,44 @@ def problem_in(domain: Path, problem: Path) -> Problem:
     loaded = load(domain, problem)
     print_warnings(loaded.warnings)
     return loaded
+
+
+class Planned(NamedTuple):
+    """A problem, what a planner has found for it, and what is known of its robots: None where there is no file about that."""
+
+    problem: Problem
+    result: PlanningResult
+    bindings: Bindings | None
+    learned: Rates | None
+
+
+def planned(
+    files: tuple[Path, Path],
+    bindings: Path | None,
+    rates: Path | None,
+    planner: str,
+    timeout: float,
+    improve: float | None,
+    *,
+    is_looked_at: bool = False,
+) -> Planned:
+    """Read a problem, and what there is about its robots, and search for a plan.
+
+    Args:
+        is_looked_at: whether the plan is for people alone, who get it soon unless they ask for a better one.
+    """
+    from planner_bridge.planning.kairos import GLANCE  # here, because most commands search for no plan
+    from planner_bridge.planning.solve import solve
+
+    domain, problem = files
+    loaded = problem_in(domain, problem)
+    bound = bindings_for(domain, bindings, loaded.vocabulary)
+    if improve is None and is_looked_at and (loaded.is_timed or loaded.metric):
+        improve = GLANCE
+    with searching(planner, timeout):
+        learned = rates_for(domain, rates)
+        result = solve(loaded, planner=planner, timeout=timeout, improve=improve, bindings=bound, learned=learned)
+    return Planned(loaded, result, bound, learned)
 
 
 def write(path: Path | None, text: str, *, force: bool) -> None:

@@ -94,7 +94,7 @@ def check(
     else:
         loaded = options.problem_in(*chosen)
         sensors = read_sensing(sensing, loaded.vocabulary) if sensing else NO_SENSING
-        settings = Settings(bindings=bindings_for(chosen[0], bindings, loaded.vocabulary), sensing=sensors)
+        settings = Settings(bindings=bindings_for(chosen[0], bindings, loaded.vocabulary) or NO_BINDINGS, sensing=sensors)
         rows = readiness(loaded, settings, wait)
         for resource, actions in relied_on(loaded.domain, settings.bindings).items():
             advice = f"only this keeps calls of {' and '.join(actions)} apart: the domain would have them at the same time"

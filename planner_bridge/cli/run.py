@@ -22,9 +22,8 @@ from planner_bridge.pipeline.carry_out import carry_out
 from planner_bridge.pipeline.loading import RATES, bindings_for, rates_for
 from planner_bridge.pipeline.roll_outs import VettedPlan, odds_of_plan
 from planner_bridge.planning.solve import check_planner
-from planner_bridge.tasks.replanning import Limits
 from planner_bridge.tasks.result import Stopwatch, TaskResult
-from planner_bridge.tasks.settings import Settings, TaskObserver
+from planner_bridge.tasks.settings import DEFAULTS, Settings, TaskObserver
 from planner_bridge.view.serving import Controlled, Operator, PageProcess
 from pnm.clock import run_async
 from pnm.core.execution.events import broadcast
@@ -51,11 +50,13 @@ from pnm.tasks import Code, Tasks
 @options.planning
 @click.option("--odds", "least", type=click.FloatRange(0.0, 1.0), help="begin only with this chance of the goal at least, such as 0.95")
 @click.option("--sim-time", is_flag=True, help="follow /clock, like nodes with use_sim_time: a paused simulation pauses all limits")
-@click.option("--replans", type=click.IntRange(0), default=100, show_default=True, help="new machines after the first, at most")
+@click.option(
+    "--replans", type=click.IntRange(0), default=DEFAULTS.limits.replans, show_default=True, help="new machines after the first, at most"
+)
 @click.option(
     "--without-progress",
     type=click.IntRange(0),
-    default=10,
+    default=DEFAULTS.limits.without_progress,
     show_default=True,
     help="of those, how many in a row may bring no progress: nothing new is known, and no fewer calls are left",
 )
@@ -131,7 +132,7 @@ def run(
     choice = journal_choice(journal, durability, adopts=adopt) if journal else None
     output = Output.JSON if as_json else Output.ENDING if quiet else Output.NUMBERS if verbose else Output.EVENTS
     policy = OnFailure(on_failure) if on_failure else None
-    limits = Limits(replans=replans, without_progress=without_progress, seconds=seconds, patience=patience)
+    limits = replace(DEFAULTS.limits, replans=replans, without_progress=without_progress, seconds=seconds, patience=patience)
     failing = policy or OnFailure.DRAIN
     settings = Settings(planner, planner_timeout, improve, limits=limits, on_failure=failing, ask_for_help=ask_for_help, sim_time=sim_time)
     chosen = options.chosen_files(domain, problem, plan_file)
@@ -145,11 +146,11 @@ def run(
     with looked_at(choice, view, timeline, learned, controlled, force=force) as (kept, page):
         if isinstance(chosen, Path):
             check_planner(planner)  # now, not when a plan is given up that took an hour
-            settings = replace(settings, bindings=bindings_for(None, bindings, None))
+            settings = replace(settings, bindings=bindings_for(None, bindings, None) or DEFAULTS.bindings)
             settings = replace(settings, sensing=read_sensing(sensing) if sensing else settings.sensing)
             parameters, going_wrong = options.plan_parameters(given), options.faults_in(faults, None)
             if least is not None:
-                odds = odds_of_plan(chosen, name, parameters, settings, going_wrong, rates_for(None, rates))
+                odds = odds_of_plan(chosen, name, parameters, settings, going_wrong, rates_for(None, rates) or DEFAULTS.learned)
                 if refusal := odds.refusal(least):
                     raise PnmError(f"the plan is not begun: {refusal}")
             begin = partial(
@@ -167,9 +168,10 @@ def run(
             with stopwatch.of("parse"):
                 loaded = options.problem_in(*chosen)
                 sensors = read_sensing(sensing, loaded.vocabulary) if sensing else NO_SENSING
-                settings = replace(settings, bindings=bindings_for(chosen[0], bindings, loaded.vocabulary), sensing=sensors)
-                going_wrong, known = options.faults_in(faults, loaded.vocabulary), rates_for(chosen[0], rates, grows=learns)
-                settings = replace(settings, learned=known)
+                bound = bindings_for(chosen[0], bindings, loaded.vocabulary) or DEFAULTS.bindings
+                known = rates_for(chosen[0], rates, grows=learns) or DEFAULTS.learned
+                settings = replace(settings, bindings=bound, sensing=sensors, learned=known)
+                going_wrong = options.faults_in(faults, loaded.vocabulary)
                 if (vetted := VettedPlan.where_known(settings, going_wrong, known, least)) is not None:
                     settings = replace(settings, memory=vetted)
                 begin = partial(achieve, None, loaded, faults=going_wrong, stopwatch=stopwatch)

@@ -23,11 +23,9 @@ from planner_bridge.model.grounding import problem_now
 from planner_bridge.model.plan import Plan, PlanStep, read_plan
 from planner_bridge.model.problem import Problem
 from planner_bridge.model.progression import NotProjectable, projected_state
-from planner_bridge.planning.kairos import DEFAULT_PLANNER
+from planner_bridge.planning.kairos import DEFAULT_PLANNER, GLANCE
 from pnm.errors import InputError, Position, suggestion
 
-_IMPROVE: Final = 0.04
-"""Seconds for which a better plan is looked for: the plan is that of `pnm plan`."""
 _NARROW: Final = 40
 """Columns that a statement gets at least, however deep it stands."""
 
@@ -94,7 +92,7 @@ def _of_problem(problem: Problem, called: str | None, other: str | None, seconds
     wanted = None if called is None or called.strip("# ").isdecimal() else _call(problem, called, "--call")
     limit = AnswerLimit.of(seconds)
     with searching(DEFAULT_PLANNER, seconds):
-        found = limit.first_plan(problem, improve=_IMPROVE)
+        found = limit.first_plan(problem, improve=GLANCE)
         if unwanted is not None:
             return [why_not(problem, unwanted, found, limit)]
         if found.plan is None or called is None:

@@ -143,10 +143,8 @@ class Chance:
         return self.of(End.SUCCEEDED)
 
     def interval(self, security: float = SECURITY) -> tuple[float, float]:
-        """Return the interval that holds the chance of success with this security (Wilson 1927)."""
-        n, z = sum(self.weights.values()), normal_quantile(0.5 + security / 2.0)
-        centre, wide = self.success + z * z / (2.0 * n), z * sqrt(self.success * (1.0 - self.success) / n + z * z / (4.0 * n * n))
-        return max(0.0, (centre - wide) / (1.0 + z * z / n)), min(1.0, (centre + wide) / (1.0 + z * z / n))
+        """Return the interval that holds the chance of success with this security."""
+        return wilson(self.success, sum(self.weights.values()), security)
 
 
 @dataclass(frozen=True, slots=True)
@@ -203,6 +201,13 @@ def normal_quantile(share: float) -> float:
     from statistics import NormalDist  # here, because most commands need none
 
     return NormalDist().inv_cdf(share)
+
+
+def wilson(share: float, n: float, security: float = SECURITY) -> tuple[float, float]:
+    """Return the interval that holds a chance with this security, after a share of n trials (Wilson 1927)."""
+    z = normal_quantile(0.5 + security / 2.0)
+    centre, wide = share + z * z / (2.0 * n), z * sqrt(share * (1.0 - share) / n + z * z / (4.0 * n * n))
+    return max(0.0, (centre - wide) / (1.0 + z * z / n)), min(1.0, (centre + wide) / (1.0 + z * z / n))
 
 
 def step_of(seconds: float) -> int:

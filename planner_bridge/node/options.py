@@ -7,9 +7,9 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any, Final
 
-from planner_bridge.pipeline.loading import bindings_beside
+from planner_bridge.pipeline.loading import BINDINGS, beside
 from planner_bridge.planning.kairos import DEFAULT_PLANNER
-from planner_bridge.tasks.settings import OnChange
+from planner_bridge.tasks.settings import DEFAULTS, OnChange
 from pnm.actions.bindings_file import bindings_in
 from pnm.core.logic.domain import Vocabulary
 from pnm.core.machine.bindings import NO_BINDINGS, Bindings
@@ -66,9 +66,10 @@ class Options:
         least=-1,
     )
     """None for that share."""
-    replans: int = parameter(100, "how often the plan of a task may be replaced")
+    replans: int = parameter(DEFAULTS.limits.replans, "how often the plan of a task may be replaced")
     without_progress: int = parameter(
-        10, "how many replans in a row may bring no progress: nothing new is known, and no fewer calls are left"
+        DEFAULTS.limits.without_progress,
+        "how many replans in a row may bring no progress: nothing new is known, and no fewer calls are left",
     )
     patience: float = parameter(0.0, "seconds for which a goal without a plan waits for facts to change")
     ask_for_help: bool = parameter(False, "whether a person is asked when a goal cannot be reached: 'try again' or 'give up'")
@@ -138,7 +139,7 @@ class RobotFiles:
     @staticmethod
     def of(options: Options) -> RobotFiles:
         """Load the files; raise an `InputError` if one is no YAML."""
-        chosen = (options.bindings or bindings_beside(options.domain), options.sensing)
+        chosen = (options.bindings or beside(options.domain, BINDINGS), options.sensing)
         return RobotFiles(*[load_yaml(file) if file else None for file in chosen])
 
     def read(self, known: Vocabulary | None, *, strangers: bool = False) -> tuple[Bindings, Sensing]:

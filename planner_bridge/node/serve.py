@@ -19,7 +19,7 @@ from planner_bridge.node.problem_service import NOTHING, ProblemFolder, ServedPr
 from planner_bridge.node.world_queries import SharedWorld, read_goals
 from planner_bridge.pipeline.loading import RATES, rates_for
 from planner_bridge.tasks.replanning import Limits
-from planner_bridge.tasks.settings import Settings
+from planner_bridge.tasks.settings import DEFAULTS, Settings
 from planner_bridge.tasks.task_manager import TaskLimits, TaskManager
 from pnm.clock import follow_real_time, run_async, short_pauses
 from pnm.core.knowledge_base import KnowledgeBase
@@ -57,7 +57,7 @@ def make_task_manager(context: NodeContext) -> tuple[TaskManager, ServedProblem]
         options.planner_timeout,
         options.improve,
         bindings=context.bindings,
-        learned=rates_for(options.domain, options.rates, grows=options.learn),
+        learned=rates_for(options.domain, options.rates, grows=options.learn) or DEFAULTS.learned,
         limits=Limits(options.replans, options.without_progress, patience=options.patience),
         on_failure=options.on_failure,
         on_change=options.on_change,

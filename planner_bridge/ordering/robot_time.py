@@ -64,11 +64,6 @@ class ExpectedTimes:
         return bool(needed) and bool(set[str].intersection(*needed))
 
 
-def expected_times(bindings: Bindings | None, learned: Rates | None) -> ExpectedTimes:
-    """Return what calls are expected to take, by what there is."""
-    return ExpectedTimes(bindings or NO_BINDINGS, learned or NO_RATES)
-
-
 def robot_time(problem: Problem, plan: Plan, rates: ExpectedTimes) -> float:
     """Return the seconds until all calls are carried out, if each begins as soon as those are over that it has to wait for.
 

@@ -17,8 +17,9 @@ if TYPE_CHECKING:
     from planner_bridge.model.rates import Rates
     from pnm.core.machine.bindings import Bindings
 
+BINDINGS: Final = "bindings.yaml"
 RATES: Final = "rates.yaml"
-"""The file of rates beside a domain."""
+"""The files of bindings and of rates beside a domain."""
 _SHOWN: Final = 20
 """Warnings about a file that are shown, at most."""
 
@@ -45,39 +46,36 @@ def load(domain: Path | str | Domain | None, problem: Path | str | Problem | Any
     return read_problem(Path(problem), domain if isinstance(domain, Domain) else read_domain(Path(domain)))
 
 
-def bindings_for(domain: Path | None, file: Path | None, known: Vocabulary | None) -> Bindings:
-    """Return bindings from a file; without one, from ``bindings.yaml`` beside the domain if that exists.
+def beside(domain: Path | None, name: str) -> Path | None:
+    """Return the file of this name beside the domain, if there is one."""
+    file = domain.parent / name if domain else None
+    return file if file and os.path.isfile(file) else None  # unlike `Path.is_file` also for names that are too long
+
+
+def bindings_for(domain: Path | None, file: Path | None, known: Vocabulary | None) -> Bindings | None:
+    """Return bindings from a file; without one, from ``bindings.yaml`` beside the domain; None if there is none either.
 
     Bindings may use only the names in `known`; any, if it is None.
     """
-    from pnm.core.machine.bindings import NO_BINDINGS  # here and below, because a search for a plan needs no bindings
+    chosen = file or beside(domain, BINDINGS)
+    if chosen is None:
+        return None
+    from pnm.actions.bindings_file import read_bindings  # here and below, because most searches for a plan have neither
 
-    file = file or bindings_beside(domain)
-    if file is None:
-        return NO_BINDINGS
-    from pnm.actions.bindings_file import read_bindings
-
-    return read_bindings(file, known)
+    return read_bindings(chosen, known)
 
 
-def bindings_beside(domain: Path | None) -> Path | None:
-    """Return the ``bindings.yaml`` beside the domain, if there is one."""
-    beside = domain.parent / "bindings.yaml" if domain else None
-    return beside if beside and os.path.isfile(beside) else None  # unlike `Path.is_file` also for names that are too long
+def rates_for(domain: Path | None, file: Path | None, *, grows: bool = False) -> Rates | None:
+    """Return rates from a file; without one, from ``rates.yaml`` beside the domain; None if there is none either.
 
+    A file that `grows` need not be there yet.
+    """
+    chosen = file or beside(domain, RATES)
+    if chosen is None or (grows and not os.path.isfile(chosen)):
+        return None
+    from planner_bridge.model.rates import read_rates
 
-def rates_beside(domain: Path | None) -> Path | None:
-    """Return the ``rates.yaml`` beside the domain, if there is one."""
-    beside = domain.parent / RATES if domain else None
-    return beside if beside and os.path.isfile(beside) else None
-
-
-def rates_for(domain: Path | None, file: Path | None, *, grows: bool = False) -> Rates:
-    """Return rates from a file; without one, from ``rates.yaml`` beside the domain if that exists. A file that `grows` may be new."""
-    from planner_bridge.model.rates import NO_RATES, read_rates  # here, because most commands need no rates
-
-    chosen = file if file and (not grows or os.path.isfile(file)) else None if file else rates_beside(domain)
-    return read_rates(chosen) if chosen else NO_RATES
+    return read_rates(chosen)
 
 
 def warning_lines(warnings: Iterable[Tolerated]) -> Iterator[str]:

@@ -12,13 +12,13 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from enum import Enum
-from math import isinf, prod, sqrt
+from math import isinf, prod
 from operator import add
 from random import Random
 from typing import Any, Final, TypeAlias
 
 from planner_bridge.model.progression import NotApplicable, Progression, snapshot
-from planner_bridge.model.rates import Call, End, Rates
+from planner_bridge.model.rates import Call, End, Rates, wilson
 from pnm.actions.faults import Fault, FaultKind, Faults
 from pnm.actions.simulated_robots import LAG, SLOWNESS
 from pnm.core.knowledge_base import KnowledgeBase
@@ -35,8 +35,6 @@ WEAKEST: Final = 3
 """Calls that are named as the weakest, at most."""
 _INTERVAL_DRAWS: Final = 400
 """Draws of chances that were estimated."""
-_Z: Final = 1.959964
-"""Standard deviations within which 95 % of a normal distribution lie."""
 
 
 class Leads(Enum):
@@ -169,7 +167,7 @@ class Odds:
     def estimated(
         reached: int, counted: int, times: Iterable[float], numbers: Mapping[Fluent, Iterable[float]], runs: int, sure: float | None
     ) -> Odds:
-        """Return the odds after runs, with the interval of Wilson (1927).
+        """Return the odds after runs, with their interval.
 
         Args:
             reached: runs that reached the goal, of those that are counted.
@@ -177,11 +175,8 @@ class Odds:
             sure: that chance. The share of the others is estimated by Jeffreys' prior: there may be few of them, or none.
         """
         share = reached / counted if sure is None else (reached + 0.5) / (counted + 1.0)
-        low, high, sure = 0.0, 1.0, sure or 0.0
-        if counted:
-            seen, spread = reached / counted, _Z**2 / counted
-            middle, half = (seen + spread / 2) / (1 + spread), sqrt(seen * (1 - seen) * spread + spread**2 / 4) / (1 + spread)
-            low, high = max(0.0, middle - half), min(1.0, middle + half)
+        low, high = wilson(reached / counted, counted) if counted else (0.0, 1.0)
+        sure = sure or 0.0
         between = (sure + (1.0 - sure) * low, sure + (1.0 - sure) * high)
         ends = {fluent: tuple(sorted(values)) for fluent, values in numbers.items()}
         return Odds(sure + (1.0 - sure) * share, between, tuple(sorted(times)), ends, runs)

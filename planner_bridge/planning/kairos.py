@@ -30,6 +30,8 @@ _IN_VAIN: Final = 0.4
 """Part of that time after which the search ends because nothing better was found, and all parts of the plan were tried."""
 LONGEST: Final = 5.0
 """Seconds for which a better plan is looked for at most, if nothing else is said: robots wait."""
+GLANCE: Final = 0.04
+"""Seconds for that where people look at a plan, and no robot moves."""
 _POLL: Final = 0.05
 """Seconds between two looks at the cancel token."""
 _ADVICE: Final = re.compile(r"\s[^.()]*\(SolveOptions::\w+\)\.|\s\(see the note before\)")

@@ -95,9 +95,11 @@ def solve(
     asked, rates = problem, None
     if bindings or learned:
         from planner_bridge.model.exclusive_resources import with_turns  # here, because most problems are about no robot that is known
-        from planner_bridge.ordering.robot_time import expected_times
+        from planner_bridge.model.rates import NO_RATES
+        from planner_bridge.ordering.robot_time import ExpectedTimes
+        from pnm.core.machine.bindings import NO_BINDINGS
 
-        rates = expected_times(bindings, learned)
+        rates = ExpectedTimes(bindings or NO_BINDINGS, learned or NO_RATES)
         asked = with_turns(problem, rates.bindings)
     stop, timeout = cancel or threading.Event(), min(timeout, _LONGEST)
     until = time.monotonic() + timeout

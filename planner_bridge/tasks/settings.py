@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from enum import Enum
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TYPE_CHECKING, Final, TypeAlias
 
 from planner_bridge.model.plan import Plan, PlanningResult
 from planner_bridge.model.problem import Problem
@@ -124,3 +124,7 @@ class Settings:
         check_kinds("settings", {name: (getattr(self, name), kind) for name, kind in kinds.items()})
         check_seconds("the search for a plan", self.planner_timeout)
         check_seconds("the search for a better plan", self.improve)
+
+
+DEFAULTS: Final = Settings()
+"""Those of a task of which nothing else is said."""

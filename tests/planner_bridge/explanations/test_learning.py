@@ -128,11 +128,14 @@ def test_runs_learn_as_they_end(tmp_path: Path) -> None:
     for number in (1, 2):
         assert CliRunner().invoke(app, ["run", domain, problem, "--learn", "-q"]).exit_code == 0
         rates = rates_for(tmp_path / "domain.pddl", None)
+        assert rates
         assert len(rates.journals) == number, "each run has had a journal"
     assert ends_of(rates) == {End.SUCCEEDED: 16}
     elsewhere = tmp_path / "elsewhere.yaml"
     assert CliRunner().invoke(app, ["run", domain, problem, "--learn", "--rates", str(elsewhere), "-q"]).exit_code == 0
-    assert ends_of(rates_for(None, elsewhere)) == {End.SUCCEEDED: 8}
+    learned = rates_for(None, elsewhere)
+    assert learned
+    assert ends_of(learned) == {End.SUCCEEDED: 8}
     assert rates_for(tmp_path / "domain.pddl", None) == rates
 
 

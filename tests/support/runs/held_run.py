@@ -5,6 +5,7 @@ The one is the reference; the other is a run that was made from the values of th
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from collections import Counter
 from collections.abc import Mapping
 from random import Random
@@ -43,8 +44,8 @@ EFFECTS = (
 """What calls change."""
 
 
-class HeldRun(Run):
-    """A run, and the reference beside it with a copy of what it knows. The mutable state is both."""
+class AccompaniedRun(Run):
+    """A run with another beside it, which hears the same news from outside. The mutable state is that one, and whether this is at work."""
 
     def __init__(
         self,
@@ -55,25 +56,44 @@ class HeldRun(Run):
         bindings: Bindings | None = None,
         adopted: Mapping[int, UnderWay] | None = None,
     ) -> None:
-        super().__init__(machine, knowledge, id=RUN, asks=asks, bindings=bindings, adopted=adopted or {})
-        world, local = knowledge.world, knowledge.local
+        super().__init__(machine, knowledge, id=RUN, asks=asks, bindings=bindings, adopted=adopted or {}, tells=True)
+        self.asks_people, self.bound, self.adopted_calls, self.is_at_work = asks, bindings or Bindings(), dict(adopted or {}), False
+        self.accompany()
+        knowledge.world.listen(lambda changes: None if self.is_at_work else self.hear(changes))
+
+    @abstractmethod
+    def accompany(self) -> None:
+        """Make the other run."""
+
+    @abstractmethod
+    def hear(self, changes: Mapping[Fluent, Value | Unknown]) -> None:
+        """Have the other run know what has come from outside."""
+
+    def handle(self, event: Event, now: float) -> list[Command]:
+        self.is_at_work = True
+        commands = super().handle(event, now)
+        self.is_at_work = False
+        return commands
+
+
+class HeldRun(AccompaniedRun):
+    """A run, and the reference beside it with a copy of what it knows."""
+
+    def accompany(self) -> None:
+        world, local = self.knowledge.world, self.knowledge.local
         things, sensed, variables = world.objects_by_type(), world.sensed_names(), world.variables()
         own = KnowledgeBase(world.facts(), variables=variables, objects=things, sensed=sensed, rules=world.rules)
         self.own = Layered(own, KnowledgeBase(variables=local.variables()))
-        self.reference = ReferenceRun(machine, self.own, RUN, bindings or Bindings(), asks=asks, adopted=dict(adopted or {}))
-        self._is_at_work = False
-        world.listen(self._hear)
+        self.reference = ReferenceRun(self.machine, self.own, RUN, self.bound, asks=self.asks_people, adopted=self.adopted_calls)
 
-    def _hear(self, changes: Mapping[Fluent, Value | Unknown]) -> None:
-        if not self._is_at_work:  # it is news from outside, for both
-            self.own.world.update(changes)
-            self.own.world.store(self.knowledge.world.variables())
+    def hear(self, changes: Mapping[Fluent, Value | Unknown]) -> None:
+        self.own.world.update(changes)
+        self.own.world.store(self.knowledge.world.variables())
 
     def handle(self, event: Event, now: float) -> list[Command]:
         assert not isinstance(event, Restarted), "the reference leaves this out"
-        before, self._is_at_work = self.marking, True
+        before = self.marking
         commands = super().handle(event, now)
-        self._is_at_work = False
         firings, expected = self.reference.delta(event, now)
         names = self.machine.net.transitions
         assert firings == [names[number] for number in self.fired], f"other firings after {event} at {now}"
@@ -122,24 +142,12 @@ class Unrest(Chaos):
         return super()._next()
 
 
-class KeptRun(Run):
-    """A run with another beside it, which is made anew from its values now and then. The mutable state is that one."""
+class KeptRun(AccompaniedRun):
+    """A run with another beside it, which is made anew from its values now and then."""
 
-    def __init__(
-        self,
-        machine: PetriNetMachine,
-        knowledge: Layered,
-        *,
-        asks: bool = False,
-        bindings: Bindings | None = None,
-        adopted: Mapping[int, UnderWay] | None = None,
-    ) -> None:
-        super().__init__(machine, knowledge, id=RUN, asks=asks, bindings=bindings, adopted=adopted or {}, tells=True)
-        self._asks, self._bindings, self._events, self._is_at_work = asks, bindings, 0, False
-        self.other = self._made_again()
-        knowledge.world.listen(self._hear)
+    events = 0
 
-    def _made_again(self) -> Run:
+    def accompany(self) -> None:
         """Make a run that knows nothing but what can be written down of this one."""
 
         def read(value: Any) -> Any:
@@ -152,21 +160,18 @@ class KeptRun(Run):
         resources = Resources(self.resources.capacities)
         resources.restore(read(self.resources.values()))
         kept = read(self.values())
-        return Run(self.machine, knowledge, id=RUN, asks=self._asks, bindings=self._bindings, resources=resources, tells=True, kept=kept)
+        self.other = Run(
+            self.machine, knowledge, id=RUN, asks=self.asks_people, bindings=self.bound, resources=resources, tells=True, kept=kept
+        )
 
-    def _hear(self, changes: Mapping[Fluent, Value | Unknown]) -> None:
-        if self._is_at_work:
-            return
-        if changes:  # it is news from outside, for both
+    def hear(self, changes: Mapping[Fluent, Value | Unknown]) -> None:
+        if changes:
             self.other.knowledge.world.update(changes)
         else:
             self.other.knowledge.world.store(self.knowledge.world.variables())
 
     def handle(self, event: Event, now: float) -> list[Command]:
-        self._is_at_work = True
-        commands = super().handle(event, now)
-        self._is_at_work = False
-        other = self.other
+        commands, other = super().handle(event, now), self.other
         assert other.handle(event, now) == commands, f"other commands after {event} at {now}"
         assert (other.fired, other.told) == (self.fired, self.told), f"other firings after {event} at {now}"
         assert other.marking == self.marking
@@ -176,9 +181,9 @@ class KeptRun(Run):
         assert (other.unreported, other.awaits, other.awaits_answers) == (self.unreported, self.awaits, self.awaits_answers)
         assert repr(other.result_so_far()) == repr(self.result_so_far())
         assert RECORDS.text(other.values()) == RECORDS.text(self.values()), f"another state after {event} at {now}"
-        self._events += 1
-        if self._events % 3:
-            self.other = self._made_again()
+        self.events += 1
+        if self.events % 3:
+            self.accompany()
         return commands
 
 
@@ -194,7 +199,7 @@ def hold_against_values(number: int, times: int = 3) -> None:
         _drive(Random(f"{number} {time}"), KeptRun)
 
 
-def _drive(random: Random, kind: type[HeldRun | KeptRun]) -> None:
+def _drive(random: Random, kind: type[AccompaniedRun]) -> None:
     planned = random_plan(random, EFFECTS)
     taken_over = with_calls_under_way(planned, random)
     plan = taken_over if sum(call.under_way and bool(call.action.resources) for call in taken_over.calls) < 2 else planned
