@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING, Final
 
 from planner_bridge.model.plan import Plan
 from planner_bridge.model.problem import Domain, Problem, once_per_domain
-from pnm.core.knowledge_base import KnowledgeBase
 from pnm.core.logic.domain import ActionSchema
 from pnm.core.logic.effects import outcomes
+from pnm.core.logic.expressions import OnlyObjects
 from pnm.errors import InputError, Position
 
 if TYPE_CHECKING:
@@ -78,7 +78,7 @@ def check_outcomes(problem: Problem, position: Position) -> None:
 @once_per_domain
 def determinized_domain(domain: Domain, members: tuple[tuple[str, tuple[str, ...]], ...]) -> tuple[Domain, dict[str, tuple[str, str]]]:
     """Return the domain with an action for every outcome, and what each of them stands for; see `Problem.members`."""
-    objects, taken = KnowledgeBase(objects=dict(members)), {name.lower() for name in domain.actions}
+    objects, taken = OnlyObjects(dict(members)), {name.lower() for name in domain.actions}
     actions: dict[str, ActionSchema] = {}
     stand_for: dict[str, tuple[str, str]] = {}
     for schema in domain.actions.values():

@@ -12,7 +12,7 @@ from planner_bridge.model.problem import Domain, Problem, once_per_domain
 from pnm.core.knowledge_base import KnowledgeBase
 from pnm.core.logic.domain import ActionSchema, ProblemModel, Types
 from pnm.core.logic.effects import TimedChange, names_written
-from pnm.core.logic.expressions import UNKNOWN, Environment, Fluent, State, Unknown, Value, fluent_text, value_of
+from pnm.core.logic.expressions import UNKNOWN, Environment, Fluent, OnlyObjects, State, Unknown, Value, fluent_text, value_of
 from pnm.core.logic.rules import DerivationRule, Rules
 from pnm.core.machine.plan_graph import GroundAction, ground_schema
 from pnm.errors import InputError
@@ -36,7 +36,7 @@ def ground_action(
         expected = " ".join(variable.name for variable in schema.parameters) or "none"
         raise InputError(f"{schema.name} takes {len(schema.parameters)} arguments ({expected}), found {len(arguments)}")
     env: Environment = {variable.name: argument for variable, argument in zip(schema.parameters, arguments, strict=True)}
-    action = ground_schema(schema, arguments, env, state or KnowledgeBase(), duration, outcome)
+    action = ground_schema(schema, arguments, env, state or OnlyObjects({}), duration, outcome)
     return action if schema.duration is not None or duration is None else replace(action, duration=None)
 
 
@@ -50,7 +50,7 @@ def ground_step(
     members: tuple[tuple[str, tuple[str, ...]], ...] = (),
 ) -> GroundAction:
     """Return a ground action for a step of a plan, the same one for the same step of another plan; `Problem.members` in the last place."""
-    return ground_action(domain.actions[action], arguments, duration, KnowledgeBase(objects=dict(members)), outcome)
+    return ground_action(domain.actions[action], arguments, duration, OnlyObjects(dict(members)), outcome)
 
 
 def modelled_duration(schema: ActionSchema, arguments: tuple[str, ...], state: State) -> float | None:

@@ -70,6 +70,7 @@ def names_of_world(problem: Problem | None, plans: Iterable[HandWrittenPlan]) ->
         {**theirs.types_of, **own.types_of},
         frozenset(names),
         is_complete=problem is not None or (bool(plans) and all(domains)),
+        outcomes=own.outcomes,
     )
 
 

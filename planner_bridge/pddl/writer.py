@@ -60,7 +60,7 @@ PARTS: Final = {
     ":duration": "duration",
 }
 """The keys of the parts of an action, the same for instantaneous and durative ones."""
-COMPOUND: Final = frozenset(("or", "imply", "when", "forall", "exists", "not", "preference"))
+COMPOUND: Final = frozenset(("or", "imply", "when", "forall", "exists", "not", "preference", "oneof", "probabilistic"))
 """Heads of forms that have forms with names inside them."""
 _HIERARCHY: Final = re.compile(r"\(\s*([^\s()]*)\s*([^\s()]*)")
 _LONG: Final = 72

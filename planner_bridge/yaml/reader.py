@@ -10,6 +10,7 @@ import re
 from bisect import bisect_right
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
+from itertools import islice
 from pathlib import Path
 from typing import Any, Final
 
@@ -23,13 +24,14 @@ from planner_bridge.pddl.reader import HIERARCHY, NETWORK
 from planner_bridge.yaml.read_constraints import is_about_states, read_constraint, read_metric, read_preference
 from pnm.actions.bindings_file import read_binding
 from pnm.core.logic.domain import ActionSchema, DomainModel, Preference, ProblemModel
+from pnm.core.logic.effects import OneOf, every_effect
 from pnm.core.logic.expressions import DURATION, Variable
 from pnm.core.machine.bindings import Bindings
 from pnm.errors import InputError, Position, Tolerated
 from pnm.files.text import read_text
 from pnm.files.yaml_nodes import MAX_BYTES, Mapped, Node, compose
 from pnm.language.domain import declaration_parts, read_facts, read_model
-from pnm.language.formulas.readers import ConditionsByMoment, read_condition, read_effects
+from pnm.language.formulas.readers import ConditionsByMoment, OutcomeKeys, read_condition, read_effects, read_outcomes
 from pnm.language.formulas.scope import ANYTHING, FormulaScope, read_names, shown
 from pnm.language.grammar import BINDING_KEYS, DomainKeys, NamedPlan, ProblemKeys
 from pnm.language.plan import ANCHORS, domain_document
@@ -37,7 +39,7 @@ from pnm.language.plan import ANCHORS, domain_document
 _LEFT_OUT: Final = ("instances", "external_knowledge_base", "knowledge", "action_types")
 """The keys of a domain that PDDL has nothing like."""
 _KEYS: Final = {**NamedPlan.known, **DomainKeys.known}
-_KEPT: Final = ("params", "preconditions", "effects", "duration", "preferences", *BINDING_KEYS)
+_KEPT: Final = ("params", "preconditions", "effects", "outcomes", "duration", "preferences", *BINDING_KEYS)
 """The keys of an action that PDDL has, too, or a bindings file."""
 _COMMENT: Final = re.compile(r"(?:(?<=\s)|(?<=\A)|(?<=\ufeff))#[^\r\n]*")
 _CODE: Final = re.compile(r"^([ \t]*)[^\s#]", re.MULTILINE)
@@ -105,6 +107,10 @@ def _domain(model: ProblemModel, keys: DomainKeys) -> Domain:
     left_out = [(f"{key!r}", top.nodes[key][0]) for key in (*_LEFT_OUT, *_recipes(top)) if key in top.nodes]
     for name, action in written.items():
         left_out += [(f"{key!r} of {name}", position) for key, (position, _) in action.entry.nodes.items() if key not in _KEPT]
+        named = (
+            one for one in every_effect(actions[name].end_effects) if isinstance(one, OneOf) and any(way.name for way in one.alternatives)
+        )
+        left_out += [(f"'name' of outcomes of {name}", action.entry.position("outcomes")) for _ in islice(named, 1)]
     left_out.sort(key=lambda item: (item[1].line, item[1].column))
     return Domain(
         **{**_fields(model.domain), "actions": actions},
@@ -323,6 +329,13 @@ class _Anchors:
                 yield self._item((*inner, _PARTS[key]), where)
             if key in ("preconditions", "effects") and not node.is_null:
                 yield from self._formulas(node, (*inner, _PARTS[key]), _condition if key == "preconditions" else _effect)
+            if key == "outcomes" and not node.is_null:
+                if "effects" not in action.mapped().nodes:
+                    yield self._item((*inner, "effect"), where)
+                whole = (*inner, "effect", pddl.form_anchor(pddl.effects_form((read_outcomes(node),))))
+                yield self._item(whole, where)
+                for part in _alternatives(node):
+                    yield from self._formulas(part, whole, _effect)
             if key == "preferences":
                 if "preconditions" not in action.mapped().nodes:
                     yield self._item((*inner, "condition"), where)
@@ -348,6 +361,11 @@ class _Anchors:
                 yield from self._formulas(part, inner, own_form)
 
 
+def _alternatives(node: Node) -> tuple[Node, ...]:
+    """Return what happens in each of several outcomes."""
+    return tuple([effects for item in node.listed if (effects := OutcomeKeys(item.mapped()).effects) is not None])
+
+
 def _fact(node: Node) -> pddl.Form:
     ((fluent, value),) = read_facts((node,), ANYTHING).items()
     return pddl.change_form(fluent, value)
@@ -356,6 +374,9 @@ def _fact(node: Node) -> pddl.Form:
 def _parts(whole: pddl.Form, node: Node, form: Callable[[Node], pddl.Form]) -> Iterator[tuple[Node, Callable[[Node], pddl.Form]]]:
     """Yield the formulas in another that comments can be about, each with how it is read: the negation of a fact has none."""
     match whole:
+        case ["oneof" | "probabilistic", *_]:
+            yield from ((part, _effect) for part in _alternatives(node.mapped().entries()[0][2]))
+            return
         case ["not", [str() as head, *_]] if head not in pddl.COMPOUND and head != "and":
             return
         case [str() as head, *_] if head in pddl.COMPOUND:

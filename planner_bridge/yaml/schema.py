@@ -98,6 +98,8 @@ def _formulas() -> Iterator[tuple[str, Schema]]:
     yield "quantifiedEffects", _either({"required": ["effects"]}, readers.QuantifiedEffects.json(), readers.Quantified.json())
     yield "exists", _either({**_OBJECT, "required": ["variables"]}, readers.Quantified.json(), query)
     yield "when", {**readers.Conditional.json(), "required": ["effects"]}
+    ways = _either(_LIST, {"minItems": 1, "items": readers.OutcomeKeys.json()}, readers.OutcomeKeys.json())
+    yield "outcomes", {"description": "Ways in which effects may turn out.", "type": ["array", "object"], **ways}
     yield "comparison", pair(ref("operator"), pair(words.VALUE, words.VALUE))
     yield "computed", pair(ref("operator"), _either(_LIST, {"items": words.VALUE, "minItems": 1}, words.VALUE))
     yield "operator", {"description": "One of Python's operators by its name, or a symbol.", "enum": words.OPERATORS_KNOWN}

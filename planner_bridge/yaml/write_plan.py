@@ -50,7 +50,7 @@ class _StepWriter:
     def _block(self, block: Block, calls: list[int]) -> YamlMapping:
         match block:
             case int():
-                return YamlMapping((self._call(calls[block]),))
+                return self._step(calls[block], {})
             case Series(parts):
                 return single("sequence", items(self._block(part, calls) for part in parts))
             case Parallel(parts):
@@ -94,17 +94,16 @@ class _StepWriter:
         return steps
 
     def _step(self, index: int, named: Mapping[int, str], *options: Entry) -> YamlMapping:
-        call, whole = self._call(index), (*([Entry(named[index], "id")] if index in named else ()), *options)
+        action = self.graph.calls[index].action
+        arguments = [Entry(argument, name) for name, argument in zip(action.parameters, action.arguments, strict=True)]
+        call = Entry(YamlMapping(tuple(arguments), short=True), action.name)
+        expected = [Entry(action.outcome, "outcome")] if action.outcomes and action.outcome != action.outcomes[0].name else []
+        whole = (*([Entry(named[index], "id")] if index in named else ()), *expected, *options)
         if call.key in [option.key for option in whole]:
             raise InputError(
                 f"this plan needs {call.key!r} as a word of the language; an action cannot be called so, expected another name"
             )
         return YamlMapping((call, *whole))
-
-    def _call(self, index: int) -> Entry:
-        action = self.graph.calls[index].action
-        arguments = zip(action.parameters, action.arguments, strict=True)
-        return Entry(YamlMapping(tuple([Entry(argument, name) for name, argument in arguments]), short=True), action.name)
 
     def _names(self, wanted: Set[int]) -> dict[int, str]:
         """Return names for calls: their action, and a number if it is called several times."""

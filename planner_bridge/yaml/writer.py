@@ -6,6 +6,7 @@ import json
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import fields, replace
 from itertools import groupby
+from types import MappingProxyType
 from typing import Final, assert_never
 
 from planner_bridge.model.problem import Domain, Problem
@@ -85,7 +86,7 @@ def domain_entries(domain: Domain, notes: Notes, bindings: Bindings) -> list[Ent
     for schema in domain.actions.values():
         inner = own.at(pddl.ACTION, schema.name.lower())
         binding = bindings.actions.get(schema.name)
-        bound = tuple(binding_entries(binding or LANGUAGE_DEFAULT, LANGUAGE_DEFAULT, type_key="ros_type"))
+        bound = tuple(binding_entries(binding or LANGUAGE_DEFAULT, LANGUAGE_DEFAULT, {"type": "ros_type", "outcomes": "told_by"}))
         if binding == LANGUAGE_DEFAULT:  # said all the same: an action without keys is imported as one that has no binding
             bound = (Entry(_value(binding.retries), "retries"),)
         actions.append(Entry(YamlMapping((*_parts(schema, inner), *bound)), schema.name, inner.take(), apart=bool(actions)))
@@ -135,9 +136,14 @@ def _parts(schema: ActionSchema, notes: Notes) -> Iterator[Entry]:
         yield Entry(YamlMapping(tuple(tested)) if is_timed else tested[0].value, "preconditions", wanted.take())
     if schema.preferences:
         yield Entry(preferences(schema.preferences, wanted, wanted), "preferences", wanted.take())
-    changes = (("at_start", schema.start_effects), ("at_end", schema.end_effects))
+    *before, last = schema.end_effects or (None,)
+    in_any_case = tuple(before) if isinstance(last, OneOf) else schema.end_effects
+    changes = (("at_start", schema.start_effects), ("at_end", in_any_case))
     if changed := [Entry(effects(timed, changing), key) for key, timed in changes if timed]:
         yield Entry(YamlMapping(tuple(changed)) if is_timed else changed[0].value, "effects", changing.take())
+    if isinstance(last, OneOf):
+        own = changing.at(pddl.form_anchor(pddl.effects_form((last,))))
+        yield Entry(outcomes(last, own), "outcomes", own.take())
 
 
 def _problem(problem: Problem, notes: Notes) -> Iterator[Entry]:
@@ -255,10 +261,21 @@ def effects(listed: Effects, notes: Notes) -> YamlList:
             case ForEach(variables, inner):
                 written = single("forall", _quantified(variables, "effects", effects(inner, own)))
             case OneOf():
-                raise InputError(f"outcomes cannot be written yet: {effect}")
+                written = single("one_of", outcomes(effect, own))
             case _:
                 assert_never(effect)
         entries.append(Entry(written, note=own.take()))
+    return YamlList(tuple(entries))
+
+
+def outcomes(effect: OneOf, notes: Notes) -> YamlList:
+    """Write the ways in which effects may turn out, each an item of a list."""
+    entries: list[Entry] = []
+    for way in effect.alternatives:
+        keys = [Entry(way.name, "name")] if way.name else []
+        keys += [Entry(Bare(number_text(way.chance)), "chance")] if way.chance is not None else []
+        keys += [Entry(effects(way.effects, notes), "effects")] if way.effects or not keys else []
+        entries.append(Entry(YamlMapping(tuple(keys))))
     return YamlList(tuple(entries))
 
 
@@ -307,17 +324,17 @@ def preferences(listed: Iterable[Preference], states: Notes, courses: Notes) -> 
 # --- bindings ------------------------------------------------------------------------------
 
 
-def binding_entries(binding: Binding, usual: Binding, *, type_key: str) -> Iterator[Entry]:
-    """Yield a key for everything that is not as usual."""
+def binding_entries(binding: Binding, usual: Binding, names: Mapping[str, str] = MappingProxyType({})) -> Iterator[Entry]:
+    """Yield a key for everything that is not as usual; some of them have other names."""
     for field in fields(binding):
         value = getattr(binding, field.name)
         if field.compare and value != getattr(usual, field.name):
-            yield Entry(_value(value), type_key if field.name == "type" else field.name)
+            yield Entry(_value(value), names.get(field.name, field.name))
 
 
 def write_bindings(bindings: Bindings) -> str:
     """Write a bindings file; an empty text if all is as usual."""
-    parts = {name: tuple(binding_entries(binding, DEFAULT, type_key="type")) for name, binding in bindings.actions.items()}
+    parts = {name: tuple(binding_entries(binding, DEFAULT)) for name, binding in bindings.actions.items()}
     actions = tuple([Entry(YamlMapping(entries), name) for name, entries in parts.items() if entries])
     return document(YamlMapping((Entry(YamlMapping(actions), "actions"),))) if actions else ""
 

@@ -11,7 +11,7 @@ from pnm.core.knowledge_base import parse_fluent
 from pnm.core.logic.domain import Vocabulary
 from pnm.core.machine.bindings import _NAME, DEFAULT, NO_BINDINGS, Binding, Bindings, Foreign, Table, WhenLost, placeholders
 from pnm.errors import InputError, Position
-from pnm.files.yaml_keys import ANYTHING, Keys, Schema, choice, each, flag, names, node, number, ref, text, texts, whole
+from pnm.files.yaml_keys import ANYTHING, Keys, Schema, choice, each, flag, names, node, number, ref, section, text, texts, whole
 from pnm.files.yaml_nodes import Mapped, Node, load_yaml
 from pnm.knowledge.field_reader import FieldTest, TabledField, field_test, field_value
 
@@ -48,6 +48,12 @@ class BindingKeys(Keys):
         "test of the result: another attempt is useless, so the call is not tried again in this plan",
         "another attempt may help",
     )
+    told = section(
+        ref("fieldTest"),
+        "outcomes of the domain and tests of the result that tell them: `{slipped: {field: code, eq: 3}}`; the first that passes counts. "
+        "Without names they are called `1`, `2` and so on",
+        "sensors tell them",
+    ).named("outcomes")
     store = texts(
         "expected result fields and the variables to store them in",
         "result fields, and the variables that keep them: `{time: travel_time}`",
@@ -120,6 +126,8 @@ def bindings_in(top: Mapped, known: Vocabulary | None = None, *, strangers: bool
                     known.check_parameter(name, parameter, position)
             if keys.goal is not None:
                 _check_sources(keys.goal, name, known)
+            for outcome, where, _ in keys.told.entries():
+                known.check_outcome(name, outcome, where)
         for name in () if strangers else file.assumed:
             known.check_set(name, top.position("assumed"))
     return Bindings(actions, frozenset(file.assumed), file.lag)
@@ -146,6 +154,7 @@ def read_binding(keys: BindingKeys) -> Binding:
         success=None if success is None else field_test(success),
         reason=None if reason is None else field_value(reason),
         final=None if final is None else field_test(final),
+        outcomes={name: field_test(test) for name, _, test in keys.told.entries()},
         store=keys.store,
         seconds=keys.seconds,
         timeout=keys.timeout,

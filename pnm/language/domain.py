@@ -14,14 +14,14 @@ from pnm.core.knowledge_base import parse_statement
 from pnm.core.logic.computed_values import Data, Query, parts
 from pnm.core.logic.conditions import TRUE, Condition, fluents, free_variables
 from pnm.core.logic.domain import ActionSchema, Declaration, DomainModel, ProblemModel, Types
-from pnm.core.logic.effects import Effects, ForEach, OneOf, Set, TimedChange, When, is_early
+from pnm.core.logic.effects import Effects, ForEach, OneOf, Set, TimedChange, When, has_outcomes, is_early
 from pnm.core.logic.expressions import DURATION, Constant, Fluent, Value, Variable, expression_variables, fluent_text, variables_in
 from pnm.core.logic.rules import DerivationRule, Rules, UnstratifiedError
 from pnm.core.machine.bindings import DEFAULT, Binding
 from pnm.errors import InputError, Position, Tolerated
 from pnm.files.yaml_nodes import Mapped, Node
 from pnm.knowledge.sources import SourceChoice, check_source
-from pnm.language.formulas.readers import read_condition, read_conditions, read_duration, read_timed_effects
+from pnm.language.formulas.readers import read_condition, read_conditions, read_duration, read_outcomes, read_timed_effects
 from pnm.language.formulas.scope import NOTHING_DECLARED, FormulaScope, read_names, read_typed, read_typed_text, shown, unknown
 from pnm.language.formulas.values import read_data
 from pnm.language.grammar import RESERVED, Action, ActionKind, ClassName, DomainKeys, ProblemKeys, RuleKeys, TimedFacts
@@ -115,8 +115,11 @@ def read_schema(name: str, keys: Action, scope: FormulaScope) -> ActionSchema:
     inner = bound.inside((Variable(DURATION[0]),)) if scope.strict and bounds is not None else bound
     conditions = read_conditions(keys.preconditions, inner)
     start_effects, end = read_timed_effects(keys.effects, inner)
+    end_effects = end.effects if keys.outcomes is None else (*end.effects, read_outcomes(keys.outcomes, inner))
+    if has_outcomes(start_effects):
+        raise InputError("a robot says at the end how an action has turned out; expected one_of there", keys.entry.position("effects"))
     schema = ActionSchema(
-        name, parameters, conditions.start, conditions.always, conditions.end, start_effects, end.effects, bounds, expected=end.expected
+        name, parameters, conditions.start, conditions.always, conditions.end, start_effects, end_effects, bounds, expected=end.expected
     )
     if scope.strict:
         timed = (schema.invariant, schema.end_condition) != (TRUE, TRUE), bool(schema.start_effects)
@@ -313,6 +316,15 @@ def read_model(top: DomainKeys, *, strict: bool = False) -> ProblemModel:
         raise InputError(str(error), top.entry.position("derived")) from error
     scope = replace(scope, declared=replace(declared, domain=domain))
     domain = replace(domain, actions={name: read_schema(name, keys, scope) for name, keys in top.actions.items()})
+    whole = replace(declared, domain=domain)
+    for name, keys in top.actions.items():
+        try:
+            known = [way.name for way in whole.outcomes(name)] if name in domain.uncertain else []
+        except InputError as error:
+            raise InputError(error.message, keys.entry.start) from error
+        for told, where, _ in keys.told.entries():
+            if told not in known:
+                raise unknown("outcome", told, known, where)
     if section is None:
         return replace(declared, domain=domain)
     written = [TimedFacts(item.mapped()) for item in section.init if item.is_mapping]

@@ -87,6 +87,7 @@ class ActionKeys(Keys):
     params = node(_TYPED, "names, `[place, speed]`, or PDDL's text, `?r - robot ?to - place`", "any")
     preconditions = node(ref("conditionByMoment"), "conditions for the start of the call, or by moment", "nothing")
     effects = node(ref("effectsByMoment"), "facts after it, or by moment, and tests of variables", "nothing")
+    outcomes = node(ref("outcomes"), "ways in which it may end, of which one happens besides the effects: `{name, chance, effects}`", "one")
     duration = node(ref("duration"), 'seconds: a number, `(distance ?from ?to)`, or bounds `[{"<=": 5}]`', "unknown; 1 s in a rehearsal")
     preferences = listed(_PREFERENCES, "wishes that a planner may leave unfulfilled")
     recoveries = written(ref("recoveries"), "reactions to failures")
@@ -97,6 +98,7 @@ class Action(BindingKeys, ActionKeys, schema={"type": ["object", "null"]}):
     """An action."""
 
     ros_type = BindingKeys.ros_type.named("ros_type")
+    told = BindingKeys.told.named("told_by")
     retries = whole(BindingKeys.retries.words, 0)
 
 
@@ -319,6 +321,7 @@ class Call(Place, others=ANYTHING):
     store = texts("expected result fields and the variables to store them in", "result fields, and the variables that keep them")
     end_after = written(_WAITS, "ids of the steps that the end of this call waits for")
     duration = number("seconds for the call, within the bounds of its action", None)
+    outcome = text("of an action with several: the expected one. Any other is a failure", "the first")
     release = number("seconds after the beginning of the plan; the call does not start before", 0.0)
     latest_start = number("seconds after the beginning of the plan; the call must be sent by then", inf)
     deadline = number("seconds after the beginning of the plan; the call must have ended by then", inf)

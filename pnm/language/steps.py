@@ -98,6 +98,8 @@ class CallStep:
     resources: tuple[str, ...] = ()
     """Besides those of the action."""
     store: Mapping[str, str] = field(default_factory=dict)
+    outcome: str = ""
+    """The name of the expected one; the first by default."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -250,6 +252,7 @@ class StepReader:
             deadline=options.deadline,
             resources=resources,
             store=options.store,
+            outcome=options.outcome or "",
         )
 
     def recoveries(self, action: LanguageAction, node: Node) -> tuple[WrittenRecovery, ...]:

@@ -97,7 +97,10 @@ def ground_action(step: CallStep, outer: Mapping[str, Data], facts: KnowledgeBas
     if duration is not None and not 0.0 <= duration <= _LONGEST:
         raise InputError(f"expected a duration from 0 to {_LONGEST:g} s, found {duration:g}", step.place.position)
     arguments = tuple(text_of(env.get(f"?{name}", f"?{name}")) for name in names)
-    action = ground_schema(step.action.schema, arguments, env, facts, duration)
+    try:
+        action = ground_schema(step.action.schema, arguments, env, facts, duration, step.outcome)
+    except InputError as error:
+        raise InputError(error.message, step.place.position) from error
     resources = tuple(dict.fromkeys((*step.action.resources, *step.resources)))
     return replace(
         action, parameters=names, given=tuple(given.items()), operation=operation, resources=resources, returns=step.action.returns

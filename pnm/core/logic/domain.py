@@ -13,8 +13,8 @@ from math import isfinite
 from typing import Final, Literal, TypeAlias
 
 from pnm.core.logic.conditions import TRUE, Condition, choices_in
-from pnm.core.logic.effects import Effects, TimedChange, choices_in_effects, has_outcomes
-from pnm.core.logic.expressions import UNDEFINED, Expression, Fluent, Unknown, Value, Variable, fluent_text
+from pnm.core.logic.effects import Alternative, Effects, TimedChange, choices_in_effects, has_outcomes, outcomes
+from pnm.core.logic.expressions import UNDEFINED, Expression, Fluent, OnlyObjects, Unknown, Value, Variable, fluent_text
 from pnm.core.logic.rules import NO_RULES, Rules
 from pnm.core.logic.trajectory import Constraint
 from pnm.errors import InputError, Position, suggestion
@@ -187,7 +187,14 @@ class ProblemModel:
             name: Signature(kinds.get(name, FluentKind.FACT), tuple(variable.types for variable in declared.parameters), declared.values)
             for name, declared in domain.fluents.items()
         }
-        return Vocabulary(domain.parameters, frozenset(domain.fluents), frozenset(self.objects), derived, signatures, types, types_of)
+        return Vocabulary(
+            *(domain.parameters, frozenset(domain.fluents), frozenset(self.objects), derived, signatures, types, types_of),
+            outcomes={name: tuple([way.name for way in self.outcomes(name)]) for name in domain.uncertain},
+        )
+
+    def outcomes(self, action: str) -> tuple[Alternative, ...]:
+        """Return the ways in which an action may turn out, for any arguments."""
+        return outcomes(self.domain.actions[action].end_effects, OnlyObjects(self.objects_by_type))
 
     @property
     def is_timed(self) -> bool:
@@ -271,6 +278,8 @@ class Vocabulary:
     """The predicates and functions whose facts may also be about objects that are not declared."""
     is_complete: bool = True
     """Whether there are no other predicates and functions than those declared."""
+    outcomes: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    """For every action that may turn out in several ways, their names."""
 
     def spelled(self, name: str) -> str:
         """Return the declared name that is the same but for capitals, which PDDL does not tell apart; else the name as it is."""
@@ -288,6 +297,12 @@ class Vocabulary:
         known = self.actions[action]
         if name not in known:
             raise InputError(f"{name} is not a parameter of {action} ({', '.join(known) or 'it has none'})", position)
+
+    def check_outcome(self, action: str, name: str, position: Position) -> None:
+        """Refuse an outcome that the action does not have."""
+        if action not in self.outcomes:
+            raise InputError(f"{action} can turn out in one way only, so there is no outcome {name!r}", position)
+        _check(name, self.outcomes[action], "outcome", position)
 
     def arguments(self, action: str, parameter: str) -> tuple[str, ...]:
         """Return the objects that a parameter of an action may stand for, in the order of the alphabet."""

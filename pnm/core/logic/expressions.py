@@ -53,6 +53,20 @@ class State(Protocol):
 
 
 @dataclass(frozen=True, slots=True)
+class OnlyObjects:
+    """A state of which nothing but the objects is known, by type."""
+
+    members: Mapping[str, tuple[str, ...]]
+
+    def value(self, fluent: Fluent, /) -> None:
+        """Return that nothing is recorded."""
+
+    def objects(self, types: tuple[str, ...], /) -> tuple[str, ...]:
+        """Return the objects of any of the types."""
+        return tuple(dict.fromkeys(name for kind in types for name in self.members.get(kind, ())))
+
+
+@dataclass(frozen=True, slots=True)
 class Variable:
     """A typed variable of an action, a quantifier or a declaration; the name starts with ``?``."""
 

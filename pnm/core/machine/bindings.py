@@ -81,6 +81,8 @@ class Binding:
     """The result field that says why the action failed, with a table of words if it is a number."""
     final: Test | None = None
     """A test of a failure's result: another attempt is useless, and the action is not tried again within the plan."""
+    outcomes: Mapping[str, Test] = field(default_factory=dict)
+    """Tests of the result that tell how the action has turned out, by the names of its outcomes; the first that succeeds counts."""
     store: Mapping[str, str] = field(default_factory=dict)
     """Result fields and the variables they are stored in; every other field is stored by its own name."""
     seconds: float | None = None

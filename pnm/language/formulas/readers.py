@@ -29,10 +29,10 @@ from pnm.core.logic.conditions import (
     data_in,
 )
 from pnm.core.logic.domain import DurationConstraint, check_choices
-from pnm.core.logic.effects import OPERATIONS, Effect, Effects, ForEach, Set, When, choices_in_effects
+from pnm.core.logic.effects import CHANCES_MISS, OPERATIONS, Alternative, Effect, Effects, ForEach, OneOf, Set, When, choices_in_effects
 from pnm.core.logic.expressions import DURATION, UNDEFINED, Arithmetic, Constant, Expression, ValueOf, Variable, leaves
 from pnm.errors import InputError
-from pnm.files.yaml_keys import Keys, needed, node, pair, ref, written
+from pnm.files.yaml_keys import Keys, needed, node, number, pair, ref, text, written
 from pnm.files.yaml_nodes import Node
 from pnm.language.formulas import words
 from pnm.language.formulas.scope import ANYTHING, FormulaScope, fluent_in, is_variable, read_fluent, read_typed, shown
@@ -40,6 +40,7 @@ from pnm.language.formulas.values import comparison_parts, operation_parts, read
 
 FALSE: Final = Any(())
 _NAME: Final = re.compile(r"\??[^\s()?]+\Z")
+_OUTCOME: Final = re.compile(r"[A-Za-z_][\w-]*")
 _NUMBER: Final = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?\Z")
 _OPERANDS: Final = {"-": range(1, 3), "/": range(2, 3)}
 """The number of operands of arithmetic; the others take any number from 2."""
@@ -220,9 +221,10 @@ EFFECT_WORDS: Final[words.Words] = {
     "scale_up": ("multiplies the value of a function", _NEW),
     "scale_down": ("divides the value of a function", _NEW),
     "when": ("effects under a condition", ref("when")),
+    "one_of": ("one of several outcomes", ref("outcomes")),
 }
 """The words that an effect begins with."""
-_PLANNED: Final = ("and", "holds", "not", "forall", *_CHANGES, "when")
+_PLANNED: Final = ("and", "holds", "not", "forall", *_CHANGES, "when", "one_of")
 """The words of effects that planners know: they have no tests."""
 
 
@@ -238,6 +240,14 @@ class Conditional(Keys):
     condition = written(words.CONDITION, "tested when the effects would happen")
     at_start = written(words.CONDITION, "tested when the action starts")
     effects = written(EFFECTS, "effects if the condition holds")
+
+
+class OutcomeKeys(Keys):
+    """A way in which effects may turn out."""
+
+    name = text("a name", "its number, from 1 on")
+    chance = number("from 0 to 1; all outcomes have one, and these sum to 1, or none has", None, "as likely as the others")
+    effects = node(EFFECTS, "what happens then", "nothing")
 
 
 class ConditionsByMoment(Keys):
@@ -292,6 +302,8 @@ def _parts(node: Node, scope: FormulaScope) -> tuple[Effect | Condition, ...]:
                 return (_becomes(fact, False, scope),)
         case "when":
             return (_when(construct, scope),)
+        case "one_of":
+            return (read_outcomes(construct.argument, scope),)
         case "forall" if "effects" in construct.argument.mapped().nodes:
             variables, body = read_quantified(QuantifiedEffects(construct.argument.mapped()), scope)
             effects = (ForEach(variables, _only_effects(body, scope.inside(variables))),)
@@ -330,6 +342,25 @@ def _when(construct: words.Form, scope: FormulaScope) -> When:
     if condition is None or body is None or (late and early):
         raise construct.argument.wrong("'when' takes effects, and either a condition or, for one that is tested early, at_start")
     return When(read_condition(condition, scope), _only_effects(body, scope), early=late is None)
+
+
+def read_outcomes(node: Node, scope: FormulaScope = ANYTHING) -> OneOf:
+    """Read the ways in which effects may turn out: a list of them."""
+    alternatives: list[Alternative] = []
+    for keys in (OutcomeKeys(item.mapped()) for item in node.listed):
+        name, chance, happening = keys.name or "", keys.chance, keys.effects
+        if name and (_OUTCOME.fullmatch(name) is None or name in {way.name for way in alternatives}):
+            message = f"{name!r} is there twice" if _OUTCOME.fullmatch(name) else f"expected a name such as slipped, found {name!r}"
+            raise InputError(message, keys.entry.position("name"))
+        if chance is not None and chance > 1.0:
+            raise InputError(f"expected a chance from 0 to 1, found {chance:g}", keys.entry.position("chance"))
+        alternatives.append(Alternative(() if happening is None else _only_effects(happening, scope), chance, name))
+    chances = [way.chance for way in alternatives if way.chance is not None]
+    if not alternatives or len(chances) not in (0, len(alternatives)):
+        raise node.wrong("expected outcomes, all of them with a chance or none")
+    if chances and abs(sum(chances) - 1.0) > CHANCES_MISS:
+        raise node.wrong(f"the chances sum to {sum(chances):g}; expected 1")
+    return OneOf(tuple(alternatives))
 
 
 def _only_effects(node: Node, scope: FormulaScope) -> Effects:

@@ -47,7 +47,10 @@ EVERYTHING = Binding(
 
 def test_everything_is_everything() -> None:
     """No field is left as it is by default, so that no test here overlooks one."""
-    assert all(getattr(EVERYTHING, field.name) != getattr(DEFAULT, field.name) for field in fields(Binding) if field.compare)
+    assert [field.name for field in fields(Binding) if getattr(EVERYTHING, field.name) == getattr(DEFAULT, field.name)] == [
+        "outcomes",  # which only actions with several can have
+        "position",
+    ]
 
 
 @pytest.mark.parametrize("binding", [EVERYTHING, Binding(retries=0), Binding(timeout=5.0), Binding(several_servers=True)])

@@ -11,7 +11,7 @@ from planner_bridge.pddl.expressions import TIME_SPECIFIERS
 from planner_bridge.pddl.symbols import CONSTRAINTS
 from pnm.core.logic.conditions import TRUE, All, Any, Compare, Condition, Exists, ForAll, Holds, Implies, Not, conjuncts
 from pnm.core.logic.domain import MAX_CHOICES, ActionSchema, Declaration, DurationConstraint, Preference
-from pnm.core.logic.effects import OPERATIONS, Effect, ForEach, Set, TimedChange, When
+from pnm.core.logic.effects import OPERATIONS, Alternative, Effect, Effects, ForEach, OneOf, Set, TimedChange, When
 from pnm.core.logic.expressions import DURATION, UNDEFINED, Arithmetic, Constant, Expression, Fluent, ValueOf, Variable
 from pnm.core.logic.rules import DerivationRule, Rules
 from pnm.core.logic.trajectory import Constraint
@@ -62,7 +62,17 @@ def conditions(duration: bool = False) -> st.SearchStrategy[Condition]:
     )
 
 
-def effects(duration: bool = False) -> st.SearchStrategy[tuple[Effect, ...]]:
+WEIGHTS = st.lists(st.integers(1, 9), max_size=3)
+
+
+def one_of(parts: list[Effects], weights: list[int]) -> OneOf:
+    """Alternatives, with chances if there are as many weights."""
+    chances = [weight / sum(weights) for weight in weights] if len(weights) >= len(parts) else []
+    chances = chances and [*chances[: len(parts) - 1], 1.0 - sum(chances[: len(parts) - 1])]
+    return OneOf(tuple(Alternative(part, max(0.0, chances[number]) if chances else None) for number, part in enumerate(parts)))
+
+
+def effects(duration: bool = False, uncertain: bool = False) -> st.SearchStrategy[tuple[Effect, ...]]:
     truth = st.builds(Set, st.sampled_from(FACTS), st.booleans().map(Constant))
     numbers = st.builds(Set, st.sampled_from(FUNCTIONS), expressions(duration), st.sampled_from(OPERATIONS))
     places = st.sampled_from([Constant("?Other"), Constant("hall"), ValueOf(("home", "R1")), Constant(UNDEFINED)])
@@ -71,6 +81,11 @@ def effects(duration: bool = False) -> st.SearchStrategy[tuple[Effect, ...]]:
         lambda inner: st.one_of(
             st.builds(When, conditions(duration), st.lists(inner, max_size=2).map(tuple)),
             st.builds(ForEach, VARIABLES, st.lists(inner, max_size=2).map(tuple)),
+            *(
+                []
+                if not uncertain
+                else [st.builds(one_of, st.lists(st.lists(inner, max_size=2).map(tuple), min_size=1, max_size=3), WEIGHTS)]
+            ),
         ),
         max_leaves=4,
     )
@@ -80,10 +95,15 @@ def effects(duration: bool = False) -> st.SearchStrategy[tuple[Effect, ...]]:
 def early_effects() -> st.SearchStrategy[tuple[Effect, ...]]:
     """Effects at the end on conditions at the start, which are not trivial: a trivial one is written away."""
     real = conditions(duration=True).filter(lambda condition: condition != TRUE)
-    inner = effects(duration=True).filter(lambda found: not any(isinstance(one, When) and one.condition == TRUE for one in found))
+    inner = effects(duration=True, uncertain=True).filter(
+        lambda found: not any(isinstance(one, When) and one.condition == TRUE for one in found)
+    )
     early = st.builds(When, real, inner, early=st.just(True))
-    around = st.one_of(early, st.builds(ForEach, VARIABLES, st.tuples(early)), st.builds(When, real, st.tuples(early)))
-    return st.tuples(effects(duration=True), st.lists(around, max_size=2)).map(lambda both: (*both[0], *both[1]))
+    around = st.one_of(
+        *(early, st.builds(ForEach, VARIABLES, st.tuples(early)), st.builds(When, real, st.tuples(early))),
+        st.builds(one_of, st.lists(st.one_of(st.tuples(early), inner), min_size=1, max_size=2), WEIGHTS),
+    )
+    return st.tuples(effects(duration=True, uncertain=True), st.lists(around, max_size=2)).map(lambda both: (*both[0], *both[1]))
 
 
 def constraints() -> st.SearchStrategy[Constraint]:
@@ -108,7 +128,7 @@ INSTANTANEOUS = st.builds(
     st.just("now"),
     st.just(OWN),
     precondition=conditions(),
-    end_effects=effects(),
+    end_effects=effects(uncertain=True),
     preferences=st.lists(PREFERENCES, max_size=2).map(tuple),
 )
 DURATIVE = st.builds(

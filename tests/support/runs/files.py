@@ -26,4 +26,5 @@ WORDS = Vocabulary(
     frozenset({"at", "battery", "near"}),
     frozenset({"r1", "lab"}),
     derived=frozenset({"near"}),
+    outcomes={"move": ("there", "slipped")},
 )

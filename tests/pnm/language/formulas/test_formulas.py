@@ -10,7 +10,7 @@ import pytest
 from pnm.core.logic.computed_values import Compound, Data, KnowledgeOperation, Layer, Operation, Parameter, Query, Update
 from pnm.core.logic.conditions import TRUE, All, Any, Compare, Computed, Condition, Exists, ForAll, Holds, Implies, Not
 from pnm.core.logic.domain import Declaration, DomainModel, ProblemModel
-from pnm.core.logic.effects import ForEach, Set, When
+from pnm.core.logic.effects import Alternative, ForEach, OneOf, Set, When
 from pnm.core.logic.expressions import DURATION, Arithmetic, Constant, ValueOf, Variable
 from pnm.errors import InputError
 from pnm.language.formulas.readers import FALSE, WrittenEffects, read_condition, read_duration, read_effects, read_expression
@@ -169,6 +169,13 @@ EFFECTS: list[tuple[str, WrittenEffects]] = [
     ),
     ("[(done), {LocalQuery: success}]", WrittenEffects((Set(("done",), Constant(True)),), Computed(q("success")))),
     ('{forall: {variables: "?x", condition: "(clean ?x)"}}', WrittenEffects((), ForAll((Variable("?x"),), Holds(("clean", "?x"))))),
+    (
+        "{one_of: [{name: ok, chance: 0.75, effects: [(a), {not: (b)}]}, {chance: 0.25}]}",
+        WrittenEffects(
+            (OneOf((Alternative((Set(("a",), Constant(True)), Set(("b",), Constant(False))), 0.75, "ok"), Alternative((), 0.25))),)
+        ),
+    ),
+    ("{one_of: {effects: (a)}}", WrittenEffects((OneOf((Alternative((Set(("a",), Constant(True)),)),)),))),
     ("{}", WrittenEffects()),
 ]
 
