@@ -323,6 +323,11 @@ def follow_real_time() -> None:
         loop.follow(None)
 
 
+def is_virtual() -> bool:
+    """Return whether the running event loop jumps: its time stands still while this process works."""
+    return isinstance(asyncio.get_running_loop(), VirtualTimeLoop)
+
+
 def continue_from(time: float) -> None:
     """Have the running event loop go on from a time, at which another process was; only if it is one of `run_async`."""
     loop = asyncio.get_running_loop()

@@ -168,8 +168,8 @@ planning = options(
     click.option(
         "--improve",
         type=Seconds(0),
-        help="seconds to search for a better plan, by default a twentieth of the time that it takes, at most 5; "
-        "0: the first plan, the same every time",
+        help="seconds to search for a better plan, and again while robots work; by default a twentieth of the time that it takes, "
+        "at most 5; 0: the first plan, the same every time",
     ),
 )
 quiet_option = click.option("-q", "--quiet", is_flag=True, help="print only the result")

@@ -15,7 +15,7 @@ from planner_bridge.cli.options import planner_words, print_warnings, waiting
 from planner_bridge.model.plan import Plan, PlanningResult
 from planner_bridge.node.node_log import NodeObserver, standing_words
 from planner_bridge.pipeline.roll_outs import VettedPlan
-from planner_bridge.tasks.replanning import PlanAgain, ResumePlan, decision_words
+from planner_bridge.tasks.replanning import BetterRest, PlanAgain, ResumePlan, decision_words
 from planner_bridge.tasks.result import TaskResult, Violation
 from planner_bridge.tasks.settings import TaskObserver
 from planner_bridge.tasks.task import passed_limit
@@ -235,9 +235,10 @@ class ConsoleObserver(TaskObserver):
         """Print that a planner takes over."""
         self._console.print_reason("[bold yellow]replan[/]  ", reason)
 
-    def replanning(self, decision: ResumePlan | PlanAgain, result: RunResult) -> None:
-        """Print the consequence of a failed run."""
-        self._console.print_reason("[bold yellow]replan[/]  ", decision_words(decision))
+    def replanning(self, decision: ResumePlan | PlanAgain | BetterRest, result: RunResult) -> None:
+        """Print why there is to be another plan."""
+        label = "[bold green]better[/]  " if isinstance(decision, BetterRest) else "[bold yellow]replan[/]  "
+        self._console.print_reason(label, decision_words(decision))
 
     def violated(self, violation: Violation, now: float) -> None:
         """Print that a constraint is violated."""

@@ -61,8 +61,8 @@ class Options:
     planner_timeout: float = parameter(30.0, "seconds for the planner")
     improve: float | None = parameter(
         -1.0,
-        "seconds to search for a better plan; 0: the first plan, the same every time; -1: a twentieth of the time that the plan takes,"
-        " at most 5",
+        "seconds to search for a better plan, and again while robots work; 0: the first plan, the same every time;"
+        " -1: a twentieth of the time that the plan takes, at most 5",
         least=-1,
     )
     """None for that share."""

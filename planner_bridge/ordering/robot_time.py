@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
+from types import MappingProxyType
 
 from planner_bridge.model.forbidden_actions import unused_name
 from planner_bridge.model.plan import Plan
@@ -15,7 +17,7 @@ from pnm.core.logic.domain import Declaration
 from pnm.core.logic.effects import Set
 from pnm.core.logic.expressions import Constant, ValueOf
 from pnm.core.machine.bindings import NO_BINDINGS, Bindings, placeholders
-from pnm.core.machine.plan_graph import GroundAction, PlanGraphError
+from pnm.core.machine.plan_graph import GroundAction, PlanGraph, PlanGraphError
 
 
 @dataclass(frozen=True)
@@ -65,16 +67,24 @@ class ExpectedTimes:
 
 
 def robot_time(problem: Problem, plan: Plan, rates: ExpectedTimes) -> float:
-    """Return the seconds until all calls are carried out, if each begins as soon as those are over that it has to wait for.
-
-    Calls that need the same resource take turns, in the order of the plan. A plan with times takes as long as these say.
-    """
+    """Return the seconds until all calls are carried out; a plan with times takes as long as these say."""
     if plan.temporal:
         return plan.makespan
     try:
         graph = plan_graph(problem, plan)
     except PlanGraphError:  # a plan that is valid, but not by causes alone: its calls can be made one after the other
         return sum(rates.expected(call.action) for call in calls_of(problem, plan))
+    return max(ends_of(graph, rates), default=0.0)
+
+
+def ends_of(graph: PlanGraph, rates: ExpectedTimes, left: Mapping[int, float] = MappingProxyType({})) -> list[float]:
+    """Return the seconds until each call is over, if it begins as soon as those are over that it has to wait for.
+
+    Calls that need the same resource take turns, in the order of the plan.
+
+    Args:
+        left: the seconds that calls under way still take, by number.
+    """
     ends: list[float] = []
     free: dict[str, float] = {}
     waits: list[list[int]] = [[] for _ in graph.calls]
@@ -83,9 +93,9 @@ def robot_time(problem: Problem, plan: Plan, rates: ExpectedTimes) -> float:
     for call in graph.calls:
         resources = rates.bindings.resources(call.action)
         begins = max((*(ends[other] for other in waits[call.index]), *(free.get(name, 0.0) for name in resources)), default=0.0)
-        ends.append(begins + rates.expected(call.action))
+        ends.append(left[call.index] if call.index in left else begins + rates.expected(call.action))
         free |= dict.fromkeys(resources, ends[-1])
-    return max(ends, default=0.0)
+    return ends
 
 
 def priced(problem: Problem, rates: ExpectedTimes) -> Problem:

@@ -26,6 +26,8 @@ if TYPE_CHECKING:
 DEFAULT_PLANNER: Final = "kairos"
 SHARE: Final = 0.05
 """Share of the time that a plan is expected to take for which a better one is looked for."""
+AT_WORK: Final = 2.5
+"""How much longer that is while robots carry the plan out: they do not wait, but the processor is theirs as well."""
 _IN_VAIN: Final = 0.4
 """Part of that time after which the search ends because nothing better was found, and all parts of the plan were tried."""
 LONGEST: Final = 5.0
@@ -109,6 +111,7 @@ def search(
     improve: float | None = 0.0,
     parsed: kairos.Problem | None = None,
     rates: ExpectedTimes | None = None,
+    known: Plan | None = None,
 ) -> PlanningResult:
     """Search with one planner, at most `timeout` seconds besides the time to load it; the plan is not validated yet.
 
@@ -117,6 +120,7 @@ def search(
             what they find.
         parsed: the problem as Kairos reads it, if that is there already.
         rates: what calls are expected to take; None where nothing is known.
+        known: a plan that robots carry out meanwhile: only a better one is looked for.
     """
     if planner != DEFAULT_PLANNER:
         from planner_bridge.planning.engines import search_with_engine  # here, because Kairos needs no other process
@@ -125,7 +129,7 @@ def search(
     if problem.has_tasks:
         message = "task networks, which aries plans for (--planner aries)"
         return PlanningResult(PlanningStatus.UNSUPPORTED, message=message, planner=planner)
-    return search_with_kairos(problem, parsed or parse_for_kairos(problem, rates), timeout, improve, cancel, rates)
+    return search_with_kairos(problem, parsed or parse_for_kairos(problem, rates), timeout, improve, cancel, rates, known)
 
 
 def search_with_kairos(
@@ -135,6 +139,7 @@ def search_with_kairos(
     improve: float | None,
     cancel: CancelToken,
     rates: ExpectedTimes | None = None,
+    known: Plan | None = None,
 ) -> PlanningResult:
     """Search for a plan until the timeout, or until the search is cancelled.
 
@@ -151,6 +156,9 @@ def search_with_kairos(
     helpers = iter(sorted(_BESIDE, key=_BESIDE.__getitem__, reverse=True))
     first = news = deadline = inf
     parts: Iterator[bool] = iter(())
+    if known is not None and not best.take(known):
+        search.stop()
+        return PlanningResult(PlanningStatus.INVALID_PLAN, message="the known plan does not solve the problem", planner=DEFAULT_PLANNER)
     while search.running() and not cancel.is_set() and (now := time.monotonic()) < deadline:
         if next(parts, False):
             news = now
@@ -159,14 +167,14 @@ def search_with_kairos(
         if best.plan is None and time.process_time() > began + patience and (way := next(helpers, None)):
             searches.append(start(timeout=max(_POLL, until - now), search=way, memory_limit_mb=_memory_of_others()))
             patience *= 2
-        if best.of(searches):
+        if best.of(searches) or (known is not None and first == inf):
             first, news = min(first, now), now
             if improve is None or improve >= _PART:
                 from planner_bridge.planning.parts import better_parts, can_have_parts  # here, because short searches look for none
 
                 parts = better_parts(problem, best.plan, best.of_part, best.take) if best.plan and can_have_parts(problem) else iter(())
         if best.plan is not None:
-            allowed = best.worth if improve is None else improve
+            allowed = best.worth * (1.0 if known is None else AT_WORK) if improve is None else improve
             deadline = first + allowed if improve is not None else min(first + allowed, news + allowed * _IN_VAIN)
             if news < now and not any(beside.running() for beside in searches[1:]) and (other := next(others, None)):
                 searches.append(start(timeout=allowed * other[1], search=other[0]))
@@ -219,7 +227,7 @@ class _Best:
     def take(self, plan: Plan) -> bool:
         """Take a plan that no search has found, if it is better and Kairos' validator accepts it; return whether it was taken."""
         report = kairos.validate(self._parsed, kairos.parse_plan(plan_text(plan)))
-        return report.valid and self._keep(plan if plan.cost is None else replace(plan, cost=report.metric))
+        return report.valid and self._keep(replace(plan, cost=report.metric) if _has_cost(self._problem) else plan)
 
     def _keep(self, plan: Plan) -> bool:
         metric = self._problem.metric
@@ -293,5 +301,8 @@ def _plan(plan: kairos.Plan, problem: Problem) -> Plan:
     """Return a plan of Kairos with the names of actions and objects spelled as in the problem."""
     names = SpelledNames(problem)
     steps = tuple([names.step(step.name, step.args, step.time, step.duration) for step in plan.steps])
-    has_cost = problem.metric is not None and problem.metric.expression != ValueOf(TOTAL_TIME)
-    return Plan(steps, temporal=problem.is_timed, cost=plan.cost if has_cost else None)
+    return Plan(steps, temporal=problem.is_timed, cost=plan.cost if _has_cost(problem) else None)
+
+
+def _has_cost(problem: Problem) -> bool:
+    return problem.metric is not None and problem.metric.expression != ValueOf(TOTAL_TIME)

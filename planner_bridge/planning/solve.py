@@ -53,6 +53,7 @@ def solve(
     executor: Executor | None = None,
     bindings: Bindings | None = None,
     learned: Rates | None = None,
+    known: Plan | None = None,
 ) -> PlanningResult:
     """Search for a plan, validate it, and leave out what it does not need, at most `timeout` seconds.
 
@@ -67,6 +68,7 @@ def solve(
         executor: runs the planners of a portfolio; a process pool by default.
         bindings: say how long actions take, where the domain does not, and which resources they need for themselves.
         learned: say how long they take, and how often they succeed, by what has happened.
+        known: a plan that robots carry out meanwhile: Kairos looks for a better one alone, and for longer.
 
     Raises:
         InputError: the planner refuses the problem, is not known, or is not installed.
@@ -110,7 +112,7 @@ def solve(
         found = solve_with_portfolio(asked, planners=members, timeout=timeout, executor=executor, cancel=stop)
         return reduced(problem, found, until=until, rates=rates)
     parsed = parse_for_kairos(asked, rates) if planner == DEFAULT_PLANNER else None  # once, for its search and its validator
-    found = search(asked, planner, timeout, stop, improve=improve, parsed=parsed, rates=rates)
+    found = search(asked, planner, timeout, stop, improve=improve, parsed=parsed, rates=rates, known=known)
     return reduced(problem, validated(problem, found, parsed), parsed, until=until, rates=rates)
 
 
@@ -166,7 +168,7 @@ def reduced(
     if plan is None or problem.network or problem.has_preferences:
         return result
     if problem.metric is not None:
-        plan = replace(plan, cost=_cost(problem, plan))
+        plan = replace(plan, cost=cost_of(problem, plan))
     shorter, work = plan, WORK
     while len((less := (elimination := _Elimination(problem, shorter, work)).without_needless(until)).steps) < len(shorter.steps):
         shorter, work = less, elimination.work  # without a call another one may be needless that was not before
@@ -265,7 +267,7 @@ class _Elimination:
             self.work -= len(left)
             shorter = replace(self._first, steps=tuple(self._first.steps[number] for number in left))
             try:
-                cost = _cost(self._problem, shorter)
+                cost = cost_of(self._problem, shorter)
             except InvalidPlan as error:
                 # the goal is not reached, or an earlier step cannot go on
                 if error.step is None or left[error.step] < index:
@@ -297,7 +299,7 @@ class _Elimination:
         return lost if evaluate(self._problem.goal, simulation.state) is True else None
 
 
-def _cost(problem: Problem, plan: Plan) -> float | None:
+def cost_of(problem: Problem, plan: Plan) -> float | None:
     """Return the metric's value of a plan, None where only time counts; raise `InvalidPlan` if it does not solve the problem."""
     state = last_state(problem, plan)
     if problem.metric is None or problem.metric.expression == ValueOf(TOTAL_TIME):

@@ -152,7 +152,7 @@ class Claims:
 class Preemption(TaskListener):
     """Finds the tasks that are in conflict with each other, and pauses and resumes those of lower priority.
 
-    The mutable state is which tasks are being paused.
+    The mutable state is which tasks are being paused, and whether one looks for a better plan.
 
     Args:
         tasks: all that are not over.
@@ -164,6 +164,8 @@ class Preemption(TaskListener):
         self._resources = resources
         self._queue = queue
         self._pausing: dict[UUID, asyncio.Task[None]] = {}
+        self.thinking = asyncio.Lock()
+        """Held by the one task that looks for a better plan while robots work."""
         self.claims = Claims()
         """Those of other processes; another one has to be there before the first task."""
 

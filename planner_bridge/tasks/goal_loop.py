@@ -19,6 +19,7 @@ from planner_bridge.tasks.control import TaskEnded
 from planner_bridge.tasks.plan_execution import PlanExecution, proved_machine
 from planner_bridge.tasks.plan_search import NoPlan, PlanSearch
 from planner_bridge.tasks.replanning import (
+    BetterRest,
     Decision,
     GiveUp,
     History,
@@ -96,6 +97,7 @@ class GoalLoop:
         with ExitStack() as cleanup:
             cleanup.callback(self._withdraw)
             cleanup.callback(self._search.end_ahead)
+            cleanup.callback(self._search.end_improving)
             cleanup.callback(self._context.world.listen(lambda changes: self._facts_changed.set() if changes else None))
             self._monitor.begin(cleanup)
             while True:
@@ -185,6 +187,8 @@ class GoalLoop:
         self._search.end_ahead()
         async with PlanExecution(context, self._monitor, self._log, begin_with, self._search.origin) as execution:
             while True:
+                if not (self._given or execution.result.failures):
+                    self._search.improve(execution, self._log.history)
                 with context.task.stopwatch.of("execute"):
                     await execution.attention()
                 follows = await self._replan(execution)
@@ -203,6 +207,7 @@ class GoalLoop:
     async def _replan(self, execution: PlanExecution) -> PlanGraph | Outstanding:
         """Replace the run by that of another plan, or return that plan if the run is over; if the run goes on, what is still due."""
         if execution.is_over:  # reports about the last calls may still be on their way; the decision below should know them
+            self._search.end_improving()
             await self._catch_up(execution)
         while True:
             if execution.is_over:
@@ -241,8 +246,9 @@ class GoalLoop:
                 unfulfilled = self._log.unfulfilled(self._monitor.missing)
                 reason = join_reasons(decision.reason, self._log.last_failure, unfulfilled)
                 raise TaskEnded(decision.code, reason, can_be_helped=self._given is None, by_facts=False)
-            self._context.observer.replanning(decision, execution.result)
-            if execution.is_over:
+            if not isinstance(decision, BetterRest):  # which is told when it is taken
+                self._context.observer.replanning(decision, execution.result)
+            if execution.is_over and not isinstance(decision, BetterRest):
                 self._follow(execution.run.machine, execution.result, decision, history)
                 return await self._follower(execution, decision)
             graph = await self._successor(execution, decision, history, under_way)
@@ -308,7 +314,9 @@ class GoalLoop:
             execution.finish("the goal holds already")
             return False
         progress, world = execution.progress, snapshot(context.present)
-        return bool(execution.obstacle()) or await self._control.in_thread(lambda: shortened(progress, world) != progress)
+        if execution.obstacle() or self._search.better_than(progress):
+            return True
+        return await self._control.in_thread(lambda: shortened(progress, world) != progress)
 
     def _next_history(self, execution: PlanExecution) -> History:
         """Return the history with this run, if another is to follow it."""
@@ -339,14 +347,17 @@ class GoalLoop:
         """Decide what follows the run. A failure makes nothing needless, but facts that have changed may."""
         context, progress, now, world = self._context, execution.progress, self._monitor.now(), snapshot(self._context.present)
         has_failed, limits, unusable = execution.is_over or execution.result.failures, context.settings.limits, context.unusable(history)
-        set_off_by = execution.set_off_by
+        set_off_by, better = execution.set_off_by, self._search.better_than(progress)
 
         def decision() -> tuple[Decision, History]:
             left = progress if has_failed else shortened(progress, world)
             decided, known = decide(now, left, world, history, limits, unusable)
             if has_failed or isinstance(decided, GiveUp):
                 return decided, known
-            return replace(decided, because="; ".join(filter(None, (set_off_by, needless(progress, left, world))))), known
+            if better and left is progress and isinstance(decided, ResumePlan):
+                return BetterRest(better.why), self._log.history
+            because = "; ".join(filter(None, (set_off_by, needless(progress, left, world))))
+            return replace(decided, because=because), known
 
         return await self._control.in_thread(decision)
 
@@ -366,28 +377,36 @@ class GoalLoop:
         return await self._search.in_turn(partial(self._search.rest, decision.rest))
 
     async def _successor(
-        self, execution: PlanExecution, decision: ResumePlan | PlanAgain, history: History, under_way: tuple[UnderWay, ...]
+        self, execution: PlanExecution, decision: ResumePlan | PlanAgain | BetterRest, history: History, under_way: tuple[UnderWay, ...]
     ) -> PlanGraph | Outstanding:
         """Replace a run that goes on by that of another plan. Return the plan; what is still due if the run has to go on.
 
         If it does so while a plan is searched for, the plan is returned all the same. What is under way was so when the decision was made.
         """
+        plan: Plan | None = None
         try:
             if isinstance(decision, ResumePlan):
                 graph = decision.rest
             else:
-                self._control.enter(TaskState.REPLANNING, decision_words(decision))
-                plan = await self._search.following(execution, decision.forbidden)
+                if isinstance(decision, BetterRest):
+                    plan = self._search.take_better(execution.progress)
+                else:
+                    self._control.enter(TaskState.REPLANNING, decision_words(decision))
+                    plan = await self._search.following(execution, decision.forbidden)
                 if plan is None:
                     return Outstanding.REPLACEMENT
                 if not await execution.at_rest() and not execution.is_over:
                     return Outstanding.REPLACEMENT
                 under_way = execution.under_way
-                graph = await self._accepted(plan, under_way)
+                if not isinstance(decision, BetterRest):
+                    self._note_plan(plan)
+                graph = await self._graph(plan, under_way)
                 if self._monitor.why_not(Progress.beginning(graph), self._context.forbidden(history)):
                     return Outstanding.REPLACEMENT
             successor = None if execution.is_over else await proved_machine(self._context, graph)
-            reserved = self._control.reserved if successor and isinstance(decision, PlanAgain) else None
+            if isinstance(decision, BetterRest) and (execution.is_over or (await self._search.rest(graph))[0] is None):
+                return Outstanding.NOTHING  # it is not needed any more, or in conflict with other tasks
+            reserved = self._control.reserved if successor and not isinstance(decision, ResumePlan) else None
             goes_on = await execution.at_rest()
             # Nothing waits from here on: what others have begun, and what has ended, while the machine was made is all that there is.
             if execution.under_way != under_way or (reserved and self._context.scheduler.conflicts(self._context.task, reserved)):
@@ -396,6 +415,9 @@ class GoalLoop:
             if goes_on and successor:
                 self._control.check()
                 machine, result = execution.run.machine, execution.result
+                if isinstance(decision, BetterRest) and plan is not None:
+                    self._context.observer.replanning(decision, result)
+                    self._note_plan(plan)
                 execution.succeed(successor)
                 self._follow(machine, result, decision, history)
                 self._retry_at = None
@@ -407,14 +429,20 @@ class GoalLoop:
             self._control.enter(TaskState.RUNNING)
         return graph
 
-    async def _accepted(self, plan: Plan, under_way: tuple[UnderWay, ...] = ()) -> PlanGraph:
-        """Note that a plan will be executed, and return its graph, with calls that are under way."""
+    async def _accepted(self, plan: Plan) -> PlanGraph:
+        """Note that a plan will be executed, and return its graph."""
+        self._note_plan(plan)
+        return await self._graph(plan)
+
+    def _note_plan(self, plan: Plan) -> None:
         limits = self._context.settings.limits
         self._withdraw()
         self._log.plans += 1
         self._note_goal()
         self._monitor.limit.allow(limits.allowed(plan.makespan if plan.temporal else 0.0))
         self._context.observer.planned(plan)
+
+    async def _graph(self, plan: Plan, under_way: tuple[UnderWay, ...] = ()) -> PlanGraph:
         with self._context.task.stopwatch.of("translate"):
             return await self._control.until(asyncio.to_thread(plan_graph, self._monitor.now(), plan, [one.call for one in under_way]))
 

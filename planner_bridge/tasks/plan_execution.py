@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import partial
 from types import TracebackType
@@ -24,7 +24,7 @@ from pnm.core.knowledge_base import statement_text
 from pnm.core.logic.effects import names_written, possible_assignments
 from pnm.core.logic.expressions import Constant, Fluent, State, Unknown, Value, is_number
 from pnm.core.machine.generate import generate
-from pnm.core.machine.plan_graph import PlanGraph
+from pnm.core.machine.plan_graph import GroundAction, PlanGraph
 from pnm.core.machine.requests import CallOutcome
 from pnm.core.machine.verification.verify import verify
 from pnm.executor import Executor
@@ -148,12 +148,17 @@ class PlanExecution(Observer):
 
     @property
     def forecast(self) -> Forecast:
-        """The time at which the plan is expected to be done with its needs; a late call is expected to take as long again as it is late."""
-        progress, now, left = self.progress, asyncio.get_running_loop().time(), dict[int, float]()
-        for result in (result for result in progress.calls if result.call.index in progress.under_way):
-            began = now if result.started is None else result.started
-            left[result.call.index] = abs(began + (result.call.action.duration or 0.0) - now)
+        """The time at which the plan is expected to be done with its needs."""
+        progress = self.progress
+        left = self.left(progress, lambda action: action.duration or 0.0)
         return forecast(progress.plan, progress.events, left, self._context.world)
+
+    def left(self, progress: Progress, lasts: Callable[[GroundAction], float]) -> dict[int, float]:
+        """Return the seconds that calls under way still take, by number; a late call as long again as it is late."""
+        now = asyncio.get_running_loop().time()
+        under_way = [progress.calls[number] for number in sorted(progress.under_way)]
+        began = [(now if result.started is None else result.started, result.call) for result in under_way]
+        return {call.index: abs(time + lasts(call.action) - now) for time, call in began}
 
     @property
     def under_way(self) -> tuple[UnderWay, ...]:

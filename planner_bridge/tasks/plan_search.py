@@ -16,7 +16,7 @@ from planner_bridge.model.forbidden_actions import ANY, ForbiddenCall, calls_ser
 from planner_bridge.model.grounding import initial_knowledge
 from planner_bridge.model.plan import CancelToken, Plan, PlanningResult, PlanningStatus
 from planner_bridge.model.problem import Problem
-from planner_bridge.model.progression import calls_of, projected_state
+from planner_bridge.model.progression import NotProjectable, calls_of, projected_state
 from planner_bridge.ordering.interference import (
     Forecast,
     ReadWriteSets,
@@ -26,18 +26,21 @@ from planner_bridge.ordering.interference import (
     read_write_sets,
     with_forecasts,
 )
+from planner_bridge.ordering.robot_time import ExpectedTimes
+from planner_bridge.planning.improvement import WORTH_IT, Improvement, can_be_improved, improvement
 from planner_bridge.planning.solve import solve
 from planner_bridge.tasks.constraint_monitor import TaskMonitor
 from planner_bridge.tasks.context import Conflict, TaskContext
 from planner_bridge.tasks.control import TaskEnded
 from planner_bridge.tasks.plan_execution import PlanExecution
-from planner_bridge.tasks.replanning import History
+from planner_bridge.tasks.replanning import History, Progress
 from planner_bridge.tasks.task import Task
-from pnm.clock import in_own_thread
+from pnm.clock import in_own_thread, is_virtual
 from pnm.core.execution.run_view import RunView
 from pnm.core.logic.conditions import TRUE
 from pnm.core.logic.expressions import fluent_text
 from pnm.core.machine.plan_graph import ActionCall, PlanGraph
+from pnm.core.machine.requests import CallOutcome
 from pnm.errors import InputError
 from pnm.tasks import Code, OnConflict, TaskState
 
@@ -112,7 +115,8 @@ class _EitherToken:
 class PlanSearch:
     """Searches for plans of one task.
 
-    The mutable state is when the last search began, whether one has found a plan, and a search that is ahead.
+    The mutable state is when the last search began, whether one has found a plan, and whether it is proved to be the best; a search that
+    is ahead; the search for a better rest, and what it has found.
     """
 
     def __init__(self, context: TaskContext, monitor: TaskMonitor) -> None:
@@ -123,6 +127,9 @@ class PlanSearch:
         """The time from which the times of the plan count."""
         self._has_found = False
         self._ahead: _SearchAhead | None = None
+        self._is_best = False
+        self._improving: tuple[PlanGraph, asyncio.Task[None], threading.Event] | None = None
+        self._better: Improvement | None = None
 
     def begin_ahead(self, history: History) -> None:
         """Begin to search while reports are waited for: if they bring nothing new, the answer is there sooner.
@@ -144,6 +151,58 @@ class PlanSearch:
         if self._ahead is not None:
             self._ahead.stop.set()
             self._ahead = None
+
+    def improve(self, execution: PlanExecution, history: History) -> None:
+        """Look for a better rest of the plan while it is carried out, unless that has begun."""
+        plan, settings, problem = execution.run.machine.plan, self._context.settings, self._context.problem
+        if self._improving and self._improving[0] is plan:
+            return
+        self.end_improving()
+        is_wanted = not is_virtual() if settings.improve is None else settings.improve > 0.0
+        if is_wanted and can_be_improved(problem, settings.planner) and not self._is_best:
+            stop = threading.Event()
+            self._improving = plan, asyncio.ensure_future(self._keep_improving(execution, history, stop)), stop
+
+    def better_than(self, progress: Progress) -> Improvement | None:
+        """Return a better rest of the plan that has been found, if nothing has begun of what it replaces."""
+        better, its = self._better, self._improving and self._improving[0]
+        if better and progress.plan is its and all(progress.calls[call].kind is CallOutcome.WAITING for call in better.replaced):
+            return better
+        return None
+
+    def take_better(self, progress: Progress) -> Plan | None:
+        """Return the plan from now on with the better rest, which is not offered again; None if it does not fit any more."""
+        better = self.better_than(progress)
+        self._better = None
+        return better.rest(progress.to_begin) if better else None
+
+    def end_improving(self) -> None:
+        """End the search for a better rest; what it has found does not count any more."""
+        self._better = None
+        if self._improving is not None:
+            _, task, stop = self._improving
+            stop.set()
+            task.cancel()
+            self._improving = None
+
+    async def _keep_improving(self, execution: PlanExecution, history: History, stop: threading.Event) -> None:
+        """Look for a better rest of the plan, and again whenever half of it is over; attention is called for when there is one."""
+        context, settings, left = self._context, self._context.settings, 2.0 * WORTH_IT
+        rates, token = ExpectedTimes(settings.bindings, settings.learned), _EitherToken(self._control.planner_stop, stop)
+        find = partial(solve, timeout=settings.planner_timeout, cancel=token, bindings=settings.bindings, learned=settings.learned)
+        with suppress(TaskEnded):
+            while left >= WORTH_IT:
+                await self._control.unpaused()
+                async with context.scheduler.thinking:
+                    with suppress(NotProjectable):
+                        state = projected_state(context.world, (execution.run,), context.scheduler.runs())
+                        now, progress = forbid(self._monitor.now(state), context.forbidden(history)), execution.progress
+                        under_way, calls = execution.left(progress, rates.expected), progress.plan.calls
+                        told = (now, under_way, calls, progress.to_begin, rates, settings.improve, find)
+                        left, self._better = await in_own_thread(partial(improvement, *told))
+                if self._better is not None:
+                    execution.call_attention_at(asyncio.get_running_loop().time())
+                await asyncio.sleep(left / 2.0)
 
     async def in_turn(self, attempt: Attempt[P]) -> P:
         """Repeat an attempt whenever it is the turn of this task, until it finds a plan; tasks of lower priority are preempted.
@@ -258,6 +317,7 @@ class PlanSearch:
         """
         context = self._context
         self._control.check()
+        self.end_improving()
         if run is None:
             self._begin()
         going_on = [request.call for request in run.under_way()] if run else []
@@ -273,7 +333,7 @@ class PlanSearch:
         if result.plan is None:
             context.observer.unplanned(result)
         else:
-            self._has_found = True
+            self._has_found, self._is_best = True, result.plan.is_best
             needed = _needed(now, result.plan, going_on)
             conflicts = context.scheduler.conflicts(context.task, needed)
             if weighs and any(not conflict.yields for conflict in conflicts):

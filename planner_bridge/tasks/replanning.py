@@ -208,6 +208,13 @@ class PlanAgain:
 
 
 @dataclass(frozen=True, slots=True)
+class BetterRest:
+    """Go on with a better rest of the plan, which was found while calls were under way; nothing has failed or changed."""
+
+    why: str
+
+
+@dataclass(frozen=True, slots=True)
 class GiveUp:
     """A limit is reached, or only people can decide how to go on."""
 
@@ -215,7 +222,7 @@ class GiveUp:
     code: Code = Code.REPLAN_LIMIT
 
 
-Decision = ResumePlan | PlanAgain | GiveUp
+Decision = ResumePlan | PlanAgain | BetterRest | GiveUp
 
 
 def decision_words(decision: Decision | None) -> str:
@@ -228,6 +235,8 @@ def decision_words(decision: Decision | None) -> str:
             calls = sorted(str(call) for call in forbidden if ANY not in call.arguments)  # of others it is said what they lack
             never = f"not again: {', '.join(calls)}" if calls else ""
             return f"a new plan is needed: {'; '.join(filter(None, (why, because, never)))}"
+        case BetterRest(why):
+            return f"a better rest of the plan was found at work: {why}"
         case GiveUp(reason):
             return f"given up: {reason}"
         case None:
@@ -264,6 +273,11 @@ class Progress:
         return tuple(event for event in self.plan.order if event.call not in self._finished and event not in begun)
 
     @property
+    def to_begin(self) -> list[ActionCall]:
+        """The calls that have still to begin, in an order that the plan allows."""
+        return [self.plan.calls[event.call] for event in self.events if event.moment is Moment.START]
+
+    @property
     def what_goes_on(self) -> Progress:
         """The same plan as if only what is under way were left of it."""
         left = self
@@ -284,7 +298,7 @@ def decide(
     history: History,
     limits: Limits,
     unusable: Mapping[ForbiddenCall, str] = MappingProxyType({}),
-) -> tuple[Decision, History]:
+) -> tuple[ResumePlan | PlanAgain | GiveUp, History]:
     """Decide what follows a run that does not lead to the goal any more, whether or not it has ended; the history has this replan then.
 
     Args:
