@@ -1,0 +1,55 @@
+"""Actions with several outcomes: the best that can be done, and what is done in a world that draws them."""
+
+import json
+
+import pytest
+
+from tests.support.files import ROOT, SHARED
+from tests.support.pddl.outcomes.optimum import optimum
+from tests.support.pddl.outcomes.play import HANGS, Way, behind, fill, row
+from tests.support.pddl.outcomes.problem import Chance
+
+CASES = ROOT / "tests" / "support" / "pddl" / "outcomes" / "cases"
+KNOWN = {
+    **{"interesting_climber": 1.0, "interesting_river": 0.65, "tireworld_p01": 0.329},
+    **{f"forest_p_2_{number}": 1 / 3 for number in (1, 3)},
+}
+"""Optima of published problems that were found elsewhere."""
+
+
+@pytest.mark.parametrize("case", json.loads((CASES / "manifest.json").read_text()), ids=lambda case: case["name"])
+def test_the_best_that_can_be_done_is_what_can_be_worked_out_by_hand(case):
+    best = optimum(Chance.read(CASES / case["name"]))
+    assert (best.chance, best.steps) == (pytest.approx(case["chance"], abs=1e-6), pytest.approx(case["steps"], abs=1e-6))
+
+
+@pytest.mark.skipif(not (SHARED / "fond").is_dir(), reason="the published problems are not here")
+@pytest.mark.parametrize("name", KNOWN)
+def test_the_best_in_published_problems_is_known(name):
+    assert optimum(Chance.read(SHARED / "fond" / name)).chance == pytest.approx(KNOWN[name], abs=5e-4)
+
+
+def test_too_many_states_have_no_optimum():
+    assert optimum(Chance.read(CASES / "door"), most=10) is None
+
+
+def test_trials_are_played_once_and_judged_by_the_world():
+    found, pair = {}, {"name": "no_towel", "prp": {"succeeded": "100"}}
+    fill(CASES / "no_towel", Way("replanner", 100, 60.0), 2, found)
+    first = list(found["trials"])
+    fill(CASES / "no_towel", Way("replanner", 100, 60.0), 4, found)
+    trials = found["trials"]
+    assert trials[:2] == first
+    assert [one["seed"] for one in trials] == [0, 1, 2, 3]
+    assert [one["claimed"] for one in trials] == [one["reached"] for one in trials]
+    assert "/4 | 0.360 | 100 |" in row(pair, found)
+
+
+def test_a_trial_of_too_many_actions_has_failed_and_one_without_an_end_hangs():
+    found = {}
+    fill(CASES / "latches", Way("replanner", 0, 60.0), 1, found)
+    assert [(one["claimed"], one["reached"]) for one in found["trials"]] == [(False, False)]
+    found = {"optimum": None}
+    fill(CASES / "latches", Way("replanner", 100, 0.0), 9, found)
+    assert [one["why"] for one in found["trials"]] == [HANGS] * 3
+    assert behind({"name": "latches", "ffr": {"succeeded": "100"}}, found) == ["ffr"]

@@ -1,0 +1,1 @@
+(define (problem already) (:domain latches) (:init (left) (right)) (:goal (and (left) (right))))

@@ -1,0 +1,1 @@
+(define (problem coins) (:domain coins) (:init (fresh)) (:goal (won)))

@@ -1,0 +1,16 @@
+; The battery lasts if nothing goes wrong. Who charges first gets there whatever happens.
+(define (problem household) (:domain household)
+  (:objects
+    robot - robot waste - item dining office trash - room table dumpster charger - furniture
+    hall_dining_trash hall_dining_office hall_office_trash - hallway)
+  (:init
+    (at robot table) (in robot dining) (free robot) (on waste table) (= (battery robot) 70) (charger charger)
+    (open hall_dining_office) (open hall_office_trash)
+    (belongs_to table dining) (belongs_to charger dining) (belongs_to dumpster trash)
+    (belongs_to hall_dining_trash dining) (belongs_to hall_dining_trash trash)
+    (belongs_to hall_dining_office dining) (belongs_to hall_dining_office office)
+    (belongs_to hall_office_trash office) (belongs_to hall_office_trash trash)
+    (joins hall_dining_trash dining trash) (joins hall_dining_trash trash dining)
+    (joins hall_dining_office dining office) (joins hall_dining_office office dining)
+    (joins hall_office_trash office trash) (joins hall_office_trash trash office))
+  (:goal (on waste dumpster)))

@@ -1,0 +1,1 @@
+(define (problem latches) (:domain latches) (:init (tool)) (:goal (and (left) (right))))

@@ -1,0 +1,1 @@
+(define (problem lock) (:domain lock) (:init (key)) (:goal (open)))
