@@ -281,7 +281,7 @@ def declared(faults: Faults, bindings: Bindings, untimed: float) -> Attempts:
         left, endings = 1.0, list[AttemptEnd]()
         is_seen = bool(names_written(action.end_effects) - bindings.assumed)
         for fault in (fault for fault in faults.faults if fault.concerns(action)):
-            if fault.after or fault.times is not None or fault.ignores_cancel:
+            if fault.after or fault.times is not None or fault.ignores_cancel or fault.outcome:
                 return None
             leads, seconds = Leads.AGAIN, lasts
             match fault.kind:

@@ -34,11 +34,12 @@ class FaultKind(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Fault:
-    """Requests of one action, or of one ground action, that fail."""
+    """Requests of one action, or of one ground action, that fail, or that end in an outcome that is not left to chance."""
 
     what: str
     """An action's name, or a ground action such as ``move(r1, hall, kitchen)``."""
-    kind: FaultKind
+    kind: FaultKind | None = None
+    """None for a declared outcome."""
     after: int = 0
     """The number of requests that succeed first."""
     times: int | None = None
@@ -51,6 +52,8 @@ class Fault:
     """Seconds of the world until its server tells the end; by default as the duration of the action has it."""
     for_good: bool = False
     """Whether an abort is for a reason that another attempt would meet again."""
+    outcome: str = ""
+    """The name of the declared outcome."""
 
     def concerns(self, action: GroundAction) -> bool:
         """Return whether the fault applies to this ground action."""
@@ -78,7 +81,7 @@ class Faults:
     faults: tuple[Fault, ...] = ()
     changes: tuple[HiddenChange, ...] = ()
     seed: int = 0
-    """Seed of the random numbers: with the same one the same requests fail."""
+    """Seed of the random numbers: with the same one the same requests fail, and end in the same outcomes."""
     drawn: Callable[[GroundAction, Random], Fault | None] | None = None
     """Draws the fault of each request, in place of those above."""
 
@@ -111,24 +114,27 @@ def _call(what: str, position: Position, known: Vocabulary | None) -> str:
 
 
 def _fault(entry: Mapped, known: Vocabulary | None) -> Fault:
-    entry.only("action", "call", "do", "after", "times", "message", "ignores_cancel", "chance")
-    action, call, failure = entry.string("action"), entry.string("call"), entry.string("do")
+    entry.only("action", "call", "do", "outcome", "after", "times", "message", "ignores_cancel", "chance")
+    action, call, failure, outcome = (entry.string(key) for key in ("action", "call", "do", "outcome"))
     if (action is None) == (call is None):
         raise InputError("expected either 'action' or 'call'", entry.start)
     kinds = [kind.value for kind in FaultKind]
-    if failure not in kinds:
+    if outcome is not None and failure is not None:
+        raise InputError("expected either 'do' or 'outcome'", entry.start)
+    if outcome is None and failure not in kinds:
         raise InputError(f"expected 'do' to be one of {', '.join(kinds)}; found {failure!r}", entry.position("do"))
     chance = entry.number("chance", 1.0)
     if chance > 1.0:
         raise InputError(f"expected a share from 0 to 1 as 'chance', found {chance:g}", entry.position("chance"))
     return Fault(
         what=_call(action or ground_name(call or ""), entry.position("action" if action else "call"), known),
-        kind=FaultKind(failure),
+        kind=None if failure is None else FaultKind(failure),
         after=entry.whole("after", 0),
         times=entry.whole("times", None),
         message=entry.string("message") or "",
         ignores_cancel=entry.flag("ignores_cancel"),
         chance=chance,
+        outcome=outcome or "",
     )
 
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 import asyncio
 import random
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from math import isclose
 from typing import Final, assert_never
 from uuid import UUID
@@ -271,7 +271,11 @@ class SimulatedRobots:
         if fault and fault.kind is FaultKind.REJECT:
             self._answer(request, report, Outcome(OutcomeKind.REJECTED, message=fault.message or "goal rejected"))
             return
-        begun = self.world.begin(action)
+        forced = fault.outcome if fault else ""
+        if ways := [way for way in action.outcomes if forced in ("", way.name)]:
+            (way,) = self._chance.choices(ways, [1.0 if way.chance is None else way.chance for way in ways])
+            action = replace(action, end_effects=way.effects, outcome=way.name)
+        begun = self.world.begin(action) if ways or not forced else f"{action} has no outcome {forced!r}"
         report(Accepted(request.id))
         if isinstance(begun, str):
             self._answer(request, report, Outcome(OutcomeKind.ABORTED, message=begun))
@@ -316,12 +320,12 @@ class SimulatedRobots:
             self._fail(job, OutcomeKind.ABORTED, f"{job.request.action} went wrong: {job.broken} was not true all the time")
             return
         self._forget(job)
-        problem, result = "", dict[str, object]()
+        problem, result, ended = "", dict[str, object](), job.activity.action
         if job.fault and job.fault.kind is FaultKind.NO_EFFECT:
             job.activity.undo()
         elif not (problem := job.activity.finish()):
             try:
-                result = returned(job.request, self.world)
+                result = returned(job.request, self.world) | ({"outcome": ended.outcome} if ended.outcomes else {})
             except Uncomputable as error:
                 problem = f"the result of {job.request.action} cannot be computed: {error}"
         kind = OutcomeKind.ABORTED if problem else OutcomeKind.SUCCEEDED
