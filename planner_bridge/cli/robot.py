@@ -12,6 +12,7 @@ from rich.text import Text
 
 from planner_bridge.cli import options
 from planner_bridge.cli.console import SafeConsole
+from planner_bridge.model.determinization import untold
 from planner_bridge.model.exclusive_resources import relied_on
 from planner_bridge.pipeline.achieve import readiness
 from planner_bridge.pipeline.carry_out import readiness_for_plan
@@ -99,6 +100,11 @@ def check(
         for resource, actions in relied_on(loaded.domain, settings.bindings).items():
             advice = f"only this keeps calls of {' and '.join(actions)} apart: the domain would have them at the same time"
             rows += (Readiness("resource", resource, "", ReadyState.READY, advice),)
+        seen = sensors.names if sensing else frozenset(loaded.domain.fluents)
+        unseen = frozenset(loaded.domain.fluents.keys() - seen) | settings.bindings.assumed
+        for action, ways, names in untold(loaded, settings.bindings, unseen):
+            advice = f"nothing tells {' and '.join(ways)} apart: no test of the result, and no sensor of {', '.join(names)}"
+            rows += (Readiness("outcomes", action, "", ReadyState.READY, advice),)
     if as_json:
         options.print_json({"ready": all(row.state is ReadyState.READY for row in rows), "rows": [row.as_json() for row in rows]})
     else:

@@ -1,19 +1,20 @@
 """Determinization: a problem whose actions have several outcomes as one for planners that know only actions with one.
 
 There is an action for every outcome, as if one could choose ("all-outcomes determinization", Yoon, Fern and Givan, *FF-Replan*, 2007).
+And the outcomes that nothing will tell apart.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
-from itertools import count
+from itertools import combinations, count
 from typing import TYPE_CHECKING, Final
 
 from planner_bridge.model.plan import Plan
 from planner_bridge.model.problem import Domain, Problem, once_per_domain
 from pnm.core.logic.domain import ActionSchema
-from pnm.core.logic.effects import outcomes
+from pnm.core.logic.effects import names_written, outcomes
 from pnm.core.logic.expressions import OnlyObjects
 from pnm.errors import InputError, Position
 
@@ -97,3 +98,21 @@ def determinized_domain(domain: Domain, members: tuple[tuple[str, tuple[str, ...
                 stand_for[name] = schema.name, way.name
     requirements = tuple([word for word in domain.requirements if word not in _OF_OUTCOMES])
     return replace(domain, requirements=requirements, actions=actions), stand_for
+
+
+def untold(problem: Problem, bindings: Bindings, unseen: frozenset[str]) -> Iterator[tuple[str, tuple[str, ...], tuple[str, ...]]]:
+    """Yield outcomes that nothing tells apart: the action, their names, and the predicates and functions in which they differ.
+
+    Args:
+        unseen: the predicates and functions that no sensor reports.
+    """
+    for action in sorted(problem.domain.uncertain):
+        names, facts = dict[str, None](), set[str]()
+        untested = [way for way in problem.outcomes(action) if way.name not in bindings.of(action).outcomes]
+        for one, other in combinations(untested, 2):
+            different = names_written((*({*one.effects} - {*other.effects}), *({*other.effects} - {*one.effects})))
+            if different and different <= unseen:
+                names |= dict.fromkeys((one.name, other.name))
+                facts |= different
+        if names:
+            yield action, tuple(names), tuple(sorted(facts))

@@ -343,7 +343,8 @@ def fitted_binding(binding: Binding, action_type: Any, example: Example = lambda
     success = binding.success and fitted_test(binding.success, action_type.Result)
     reason = binding.reason and fitted_source(binding.reason, action_type.Result, ANY, "a value")
     final = binding.final and fitted_test(binding.final, action_type.Result)
-    return replace(binding, success=success, reason=reason, final=final)
+    outcomes = {name: fitted_test(test, action_type.Result) for name, test in binding.outcomes.items()}
+    return replace(binding, success=success, reason=reason, final=final, outcomes=outcomes)
 
 
 def _check(source: object, kind: str, path: str, example: Example) -> None:

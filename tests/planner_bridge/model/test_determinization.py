@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from planner_bridge.model.determinization import determinization
+from planner_bridge.model.determinization import determinization, untold
 from planner_bridge.model.grounding import ground_step
 from planner_bridge.model.plan import Plan, PlanningStatus, PlanStep
 from planner_bridge.model.problem import Problem
@@ -14,6 +14,7 @@ from planner_bridge.planning.solve import solve
 from planner_bridge.planning.validate import why_invalid
 from pnm.core.logic.effects import effects_text
 from pnm.core.machine.bindings import Binding, Bindings
+from pnm.core.message_fields import Flag, parse_field
 
 DOMAIN = """(define (domain d) (:requirements :adl :non-deterministic) (:types t) (:predicates (p ?x - t) (q) (r))
     (:action try :parameters (?x - t) :effect (and (r) (oneof (and) (p ?x) (q) (p ?x))))
@@ -83,3 +84,18 @@ def test_what_servers_need_and_what_was_learned_holds_for_every_outcome() -> Non
     bound = found.bindings(Bindings({"try": Binding(seconds=7.0, resources=("arm",))}))
     assert [bound.of(name).seconds for name in ("try__2", "try__3", "try__4", "try__1", "try")] == [7.0, 7.0, 7.0, None, 7.0]
     assert (bound.of("try__3").server, bound.of("try__3").resources, bound.of("each__1").server) == ("try", ("arm",), "each")
+
+
+@pytest.mark.parametrize(
+    ("told", "unseen", "expected"),
+    [
+        ([], {"p", "q", "r"}, [("each", ("1+1", "1+2", "2+1", "2+2"), ("p",)), ("try", ("1", "2", "3"), ("p", "q"))]),
+        ([], {"p"}, [("each", ("1+1", "1+2", "2+1", "2+2"), ("p",)), ("try", ("1", "2"), ("p",))]),
+        (["1"], {"p", "q"}, [("each", ("1+1", "1+2", "2+1", "2+2"), ("p",)), ("try", ("2", "3"), ("p", "q"))]),
+        (["1", "3"], {"p", "q"}, [("each", ("1+1", "1+2", "2+1", "2+2"), ("p",))]),
+        ([], set(), []),
+    ],
+)
+def test_outcomes_are_told_apart_by_the_result_or_by_sensors(told: list[str], unseen: set[str], expected: list[object]) -> None:
+    bindings = Bindings({"try": Binding(outcomes={name: Flag(parse_field(f"is_{name}")) for name in told})})
+    assert list(untold(problem("(q)"), bindings, frozenset(unseen))) == expected

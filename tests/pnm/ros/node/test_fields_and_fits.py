@@ -85,6 +85,7 @@ def binding(path: Path, text: str) -> Binding:
         "{reason: nested_field.int64_value}",
         "{reason: {field: nested_field.int32_value, table: {1: no way, 2: no battery}}}",
         "{store: {nested_field.int8_value: why}}",
+        "{outcomes: {slipped: {field: nested_field.int32_value, eq: 3}}}",
     ],
 )
 def test_a_binding_that_fits_is_as_before(tmp_path: Path, text: str) -> None:
@@ -109,6 +110,7 @@ def test_a_binding_that_fits_is_as_before(tmp_path: Path, text: str) -> None:
         ("{success: {field: nested_field.int32_value}}", "nested_field.int32_value is a int32; expected a boolean"),
         ("{reason: message}", "NestedMessage_Result has no field 'message'"),
         ("{reason: {field: nested_field.int32_value, table: {bad: no way}}}", "cannot be compared with 'bad'"),
+        ("{outcomes: {slipped: {field: nested_field.status, eq: 3}}}", "has no field 'status'"),
         ("{store: {time: t}}", "NestedMessage_Result has no field 'time'"),
     ],
 )
