@@ -1,37 +1,23 @@
 """PDDL whose actions have several outcomes, read a second time: what the project's reading, worlds and policies are measured against.
 
-Nothing of the project is used here. Read are STRIPS and ADL with `oneof` and `probabilistic` anywhere in effects, numbers, and derived
-predicates; no times. The alternatives of a `oneof` are equally likely, those that are there twice twice as much.
+Nothing of the project is used here. Read are STRIPS and ADL with `oneof` and `probabilistic` anywhere in effects; costs and rewards count
+for nothing. The alternatives of a `oneof` are equally likely, those that are there twice twice as much.
 """
 
 from __future__ import annotations
 
-import operator
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator
 from functools import cached_property, lru_cache
 from itertools import product
 from pathlib import Path
 from random import Random
-from typing import Final, NamedTuple, TypeAlias
+from typing import NamedTuple, TypeAlias
 
 from tests.support.pddl.outcomes.reading import Atom, Env, Node, bound, conjuncts, heads, parse, typed
 
-Changes: TypeAlias = dict[Atom, bool | float]
-
-_NUMBERS: Final[Mapping[str, Callable[[float, float], float]]] = {
-    **{"+": operator.add, "-": operator.sub, "*": operator.mul, "/": operator.truediv},
-    **{"increase": operator.add, "decrease": operator.sub, "scale-up": operator.mul, "scale-down": operator.truediv},
-}
-_COMPARISONS: Final = {"=": operator.eq, "<": operator.lt, ">": operator.gt, "<=": operator.le, ">=": operator.ge}
-_CHANGES: Final = ("assign", "increase", "decrease", "scale-up", "scale-down")
-COST: Final = "total-cost"
-
-
-class State(NamedTuple):
-    """What is so: the facts that can change, and the numbers."""
-
-    facts: frozenset[Atom]
-    numbers: frozenset[tuple[Atom, float]]
+State: TypeAlias = frozenset[Atom]
+"""The facts that are so, of those that can change."""
+Changes: TypeAlias = dict[Atom, bool]
 
 
 class Outcome(NamedTuple):
@@ -69,18 +55,13 @@ class Chance:
         for part in (*parts.get(":constants", []), *parts.get(":objects", [])):
             for name, types in typed(part):
                 self.objects[name] = (*self.objects.get(name, ()), *types)
-        self.rules = [(rule[0][0], typed(rule[0][1:]), rule[1]) for rule in parts.get(":derived", [])]
         self.schemas = {one[0]: dict(zip(one[1::2], one[2::2], strict=True)) for one in parts.get(":action", [])}
         effects = {head for schema in self.schemas.values() for head in heads(schema.get(":effect"))}
-        init = [tuple(fact) if fact[0] != "=" else fact for fact in parts[":init"][0]]
-        facts = {fact for fact in init if isinstance(fact, tuple)}
-        self.static = frozenset(fact for fact in facts if fact[0] not in effects)
-        numbers = {tuple(fact[1]): float(fact[2]) for fact in init if isinstance(fact, list) and fact[1][0] != COST}
-        declared = {one[0] for part in parts.get(":predicates", []) for one in part}
-        self.changing = frozenset(effects & declared - {rule[0] for rule in self.rules})
-        self.initial = State(frozenset(facts) - self.static, frozenset(numbers.items()))
+        self.changing = frozenset(effects & {one[0] for part in parts.get(":predicates", []) for one in part})
+        facts = frozenset(tuple(fact) for fact in parts[":init"][0] if fact[0] != "=")
+        self.initial = frozenset(fact for fact in facts if fact[0] in self.changing)
+        self.static = facts - self.initial
         self.goal = parts[":goal"][0][0]
-        self.closed = lru_cache(200_000)(self._closed)
 
     @staticmethod
     def read(folder: Path) -> Chance:
@@ -107,61 +88,34 @@ class Chance:
         for chosen in product(*(self.of_types(types) for _, types in names)):
             yield {**env, **{name: one for (name, _), one in zip(names, chosen, strict=True)}}
 
-    def _closed(self, state: State) -> frozenset[Atom]:
-        """Return all facts of a state, with those that follow by rules."""
-        facts = state.facts | self.static
-        while self.rules:
-            more = {
-                (name, *(env[variable] for variable, _ in variables))
-                for name, variables, condition in self.rules
-                for env in self.choices(variables, {})
-                if self.holds(condition, state, env, facts)
-            }
-            if more <= facts:
-                break
-            facts |= more
-        return facts
-
-    def holds(self, node: Node, state: State, env: Env = {}, facts: frozenset[Atom] | None = None) -> bool:  # noqa: B006  (read only)
+    def holds(self, node: Node, state: State, env: Env = {}) -> bool:  # noqa: B006  (read only)
         """Return whether a condition is so in a state."""
-        facts = self.closed(state) if facts is None else facts
         match node:
             case []:
                 return True
             case ["and", *parts]:
-                return all(self.holds(part, state, env, facts) for part in parts)
+                return all(self.holds(part, state, env) for part in parts)
             case ["or", *parts]:
-                return any(self.holds(part, state, env, facts) for part in parts)
+                return any(self.holds(part, state, env) for part in parts)
             case ["not", part]:
-                return not self.holds(part, state, env, facts)
+                return not self.holds(part, state, env)
             case ["imply", first, then]:
-                return not self.holds(first, state, env, facts) or self.holds(then, state, env, facts)
+                return not self.holds(first, state, env) or self.holds(then, state, env)
             case ["forall", variables, part]:
-                return all(self.holds(part, state, chosen, facts) for chosen in self.choices(typed(variables), env))
+                return all(self.holds(part, state, chosen) for chosen in self.choices(typed(variables), env))
             case ["exists", variables, part]:
-                return any(self.holds(part, state, chosen, facts) for chosen in self.choices(typed(variables), env))
-            case ["=" | "<" | ">" | "<=" | ">=" as sign, left, right]:
-                if sign == "=" and isinstance(left, str) and isinstance(right, str):
-                    return env.get(left, left) == env.get(right, right)
-                return bool(_COMPARISONS[sign](self.number(left, state, env), self.number(right, state, env)))
+                return any(self.holds(part, state, chosen) for chosen in self.choices(typed(variables), env))
+            case ["=", left, right]:
+                return env.get(left, left) == env.get(right, right)
             case _:
-                return bound(node, env) in facts
-
-    def number(self, node: Node, state: State, env: Env) -> float:
-        """Return the value of an expression."""
-        if isinstance(node, str):
-            return float(node)
-        if node[0] in _NUMBERS:
-            first, second = (self.number(part, state, env) for part in node[1:])
-            return _NUMBERS[node[0]](first, second)
-        return dict(state.numbers)[bound(node, env)]
+                return (atom := bound(node, env)) in state or atom in self.static
 
     # --- actions ----------------------------------------------------------------------------------
 
     def outcomes(self, node: Node, state: State, env: Env) -> list[Outcome]:
         """Return the different ways in which an effect turns out in a state, with their chances."""
         match node:
-            case None | []:
+            case [] | ["increase" | "decrease", *_]:
                 return [Outcome(1.0, {})]
             case ["and", *parts]:
                 return _product(self.outcomes(part, state, env) for part in parts)
@@ -177,21 +131,13 @@ class Chance:
                 return _merged((each, chance) for chance, part in pairs if chance > 1e-9 for each in self.outcomes(part, state, env))
             case ["not", part]:
                 return [Outcome(1.0, {bound(part, env): False})]
-            case [sign, fluent, value] if sign in _CHANGES:
-                if fluent[0] == COST:
-                    return [Outcome(1.0, {})]
-                number = self.number(value, state, env)
-                new = number if sign == "assign" else _NUMBERS[sign](self.number(fluent, state, env), number)
-                return [Outcome(1.0, {bound(fluent, env): float(new)})]
             case _:
                 return [Outcome(1.0, {bound(node, env): True})]
 
     def after(self, state: State, changes: Changes) -> State:
         """Return the state with the changes."""
-        facts = state.facts.difference([atom for atom, value in changes.items() if value is False])
-        new = {atom: value for atom, value in changes.items() if isinstance(value, float)}
-        numbers = frozenset({**dict(state.numbers), **new}.items()) if new else state.numbers
-        return State(facts.union([atom for atom, value in changes.items() if value is True]), numbers)
+        gone = [atom for atom, value in changes.items() if not value]
+        return state.difference(gone).union([atom for atom, value in changes.items() if value])
 
     def is_goal(self, state: State) -> bool:
         """Return whether the goal holds."""
@@ -203,13 +149,12 @@ class Chance:
         env = {variable: one for (variable, _), one in zip(typed(schema.get(":parameters", [])), arguments, strict=True)}
         parts, effect = conjuncts(schema.get(":precondition", [])), schema.get(":effect", [])
         needs = frozenset(bound(part, env) for part in parts if part[0] in self.changing)
-        depends = not {"when", *_CHANGES}.isdisjoint(heads(effect))
-        known = None if depends else self.outcomes(effect, self.initial, env)
+        known = None if "when" in heads(effect) else self.outcomes(effect, self.initial, env)
         return Ground(name, tuple(env.values()), needs, [part for part in parts if part[0] not in self.changing], effect, env, known)
 
     def is_possible(self, action: Ground, state: State) -> bool:
         """Return whether an action can begin."""
-        return action.needs <= state.facts and all(self.holds(part, state, action.env) for part in action.conditions)
+        return action.needs <= state and all(self.holds(part, state, action.env) for part in action.conditions)
 
     def successors(self, action: Ground, state: State) -> list[tuple[float, State]]:
         """Return the states after an action, with their chances."""
@@ -233,8 +178,7 @@ class Chance:
     def _is_static(self, part: Node) -> bool:
         """Return whether a condition is a fact, or an equality, that never changes, or that this is not so."""
         inner = part[1] if part[0] == "not" else part
-        changing = {*self.changing, *(rule[0] for rule in self.rules), "<", ">", "<=", ">="}
-        return inner[0] not in changing and all(isinstance(word, str) for word in inner)
+        return inner[0] not in self.changing and all(isinstance(word, str) for word in inner)
 
     def _arguments(self, name: str) -> Iterator[tuple[str, ...]]:
         schema = self.schemas[name]
@@ -246,7 +190,7 @@ class Chance:
             tests[max((order[word] + 1 for word in words if word in order), default=0)].append(part)
 
         def extended(env: dict[str, str], depth: int) -> Iterator[tuple[str, ...]]:
-            if not all(self.holds(test, self.initial, env, self.static) for test in tests[depth]):
+            if not all(self.holds(test, self.initial, env) for test in tests[depth]):
                 return
             if depth == len(parameters):
                 yield tuple(env.values())
@@ -260,7 +204,7 @@ class Chance:
 
 def _merged(outcomes: Iterable[tuple[Outcome, float]]) -> list[Outcome]:
     """Return the outcomes with their chances times a factor, equal ones once."""
-    merged: dict[frozenset[tuple[Atom, bool | float]], Outcome] = {}
+    merged: dict[frozenset[tuple[Atom, bool]], Outcome] = {}
     for (chance, changes), factor in outcomes:
         key = frozenset(changes.items())
         merged[key] = Outcome(chance * factor + (merged[key].chance if key in merged else 0.0), changes)

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import asyncio
 import time
+from collections.abc import Iterable
 from random import Random
-from typing import cast
+from typing import Final, cast
 from uuid import UUID
 
 from planner_bridge.model.problem import Problem
@@ -15,6 +16,8 @@ from pnm.core.logic.expressions import Fluent, Value
 from pnm.core.machine.plan_graph import GroundAction
 from pnm.core.machine.requests import Accepted, Ended, Outcome, OutcomeKind, Reporter, Request
 from tests.support.pddl.outcomes.problem import Chance, Changes
+
+IMPOSSIBLE: Final = "its condition does not hold in the world"
 
 
 class ChanceWorld(ClientBackend):
@@ -43,10 +46,15 @@ class ChanceWorld(ClientBackend):
 
     async def open(self, knowledge: KnowledgeBase) -> None:
         """Report the state of the world, from now on after every action."""
-        self._knowledge, self._task = knowledge, cast("asyncio.Task[object]", asyncio.current_task())
-        names = frozenset(map(self._spelled, {*self.chance.changing, *(fluent[0] for fluent, _ in self.state.numbers)}))
+        self._task = cast("asyncio.Task[object]", asyncio.current_task())
+        self.report_to(knowledge)
+
+    def report_to(self, knowledge: KnowledgeBase) -> None:
+        """Report everything that changes, now and after every action."""
+        self._knowledge = knowledge
+        names = frozenset(map(self._spelled, self.chance.changing))
         knowledge.sense(names, lag=0.0)
-        knowledge.replace(names, self._facts({**dict.fromkeys(self.state.facts, True), **dict(self.state.numbers)}))
+        knowledge.replace(names, self._facts(dict.fromkeys(self.state, True)))
 
     @property
     def is_over(self) -> bool:
@@ -75,22 +83,21 @@ class ChanceWorld(ClientBackend):
 
     def _perform(self, request: Request, report: Reporter) -> None:
         report(Accepted(request.id))
-        name = request.action.name.lower()
-        action = self.chance.action(
-            name if name in self.chance.schemas else name.rpartition("__")[0], map(str.lower, request.action.arguments)
-        )
-        if self.is_over:
-            ended = Outcome(OutcomeKind.CANCELED, message="too many actions")
-        elif not self.chance.is_possible(action, self.state):
-            ended = Outcome(OutcomeKind.ABORTED, message="its condition does not hold in the world")
-        else:
-            before, self.state = self.state, self.chance.drawn(action, self.state, self._random)
-            gone = dict.fromkeys(before.facts - self.state.facts, False)
-            self._knowledge.update(
-                self._facts({**gone, **dict.fromkeys(self.state.facts - before.facts, True), **dict(self.state.numbers - before.numbers)})
-            )
-            ended = Outcome(OutcomeKind.SUCCEEDED)
+        ended = Outcome(OutcomeKind.CANCELED, message="too many actions")
+        if not self.is_over:
+            is_done = self.perform(request.action.name, request.action.arguments)
+            ended = Outcome(OutcomeKind.SUCCEEDED if is_done else OutcomeKind.ABORTED, message="" if is_done else IMPOSSIBLE)
         report(Ended(request.id, ended))
+
+    def perform(self, name: str, arguments: Iterable[str]) -> bool:
+        """Perform an action, and report what it changes; return whether it was possible."""
+        schema = name.lower() if name.lower() in self.chance.schemas else name.lower().rpartition("__")[0]
+        action, before = self.chance.action(schema, map(str.lower, arguments)), self.state
+        if not self.chance.is_possible(action, before):
+            return False
+        self.state = self.chance.drawn(action, before, self._random)
+        self._knowledge.update(self._facts({**dict.fromkeys(before - self.state, False), **dict.fromkeys(self.state - before, True)}))
+        return True
 
     def _facts(self, changes: Changes) -> dict[Fluent, Value]:
         return {tuple(map(self._spelled, atom)): value for atom, value in changes.items()}
