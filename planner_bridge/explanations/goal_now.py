@@ -22,7 +22,7 @@ from planner_bridge.model.plan import PlanningResult, PlanningStatus
 from planner_bridge.model.problem import Problem
 from planner_bridge.planning.reachability import GoalLiteral, Reachability, TooLarge, literal_of
 from pnm.core.knowledge_base import KnowledgeBase
-from pnm.core.logic.conditions import Compare, Condition
+from pnm.core.logic.conditions import Compare, Condition, parts_of
 from pnm.core.logic.expressions import NOTHING, Environment, Fluent, Value, choices, fluent_text
 from pnm.errors import counted
 
@@ -94,7 +94,7 @@ def _facts_in(reachability: Reachability, condition: Condition, env: Environment
         if isinstance(literal.subject, tuple):
             yield literal.subject
     else:
-        for part in reachability.parts(condition, env, truth)[0]:
+        for part in parts_of(condition, reachability.state, env, truth)[0]:
             yield from _facts_in(reachability, *part)
 
 
@@ -137,7 +137,7 @@ class Labels:
                 own = frozenset({frozenset({literal})}) if is_changeable else frozenset[Label]()
                 self.of_literal[literal] = own if self.reachability.way(literal).lack else _NONE
             return self.of_literal[literal]
-        parts, is_every = self.reachability.parts(condition, env, truth)
+        parts, is_every = parts_of(condition, self.reachability.state, env, truth)
         if not is_every:
             return self._least(frozenset[Label]().union(*(self.of(*part) for part in parts)))
         joined = _NONE

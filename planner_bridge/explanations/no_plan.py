@@ -17,7 +17,7 @@ from planner_bridge.model.plan import PlanningResult, PlanningStatus
 from planner_bridge.model.problem import Problem
 from planner_bridge.planning.reachability import Achiever, GoalLiteral, Reachability, TooLarge, literal_of
 from planner_bridge.planning.solve import solve
-from pnm.core.logic.conditions import All, Compare, Condition, conjunction, conjuncts, fluents
+from pnm.core.logic.conditions import All, Compare, Condition, conjunction, conjuncts, fluents, parts_of
 from pnm.core.logic.expressions import NOTHING, fluent_text
 from pnm.errors import counted
 
@@ -174,7 +174,7 @@ class DeadEnds:
 
     def _parts(self, condition: Condition, path: tuple[Condition, ...]) -> tuple[tuple[Answer, ...], int]:
         """Return why the parts of a condition can never be true; of alternatives the nearest, and how many others there are."""
-        parts, is_every = self.reachability.parts(condition, NOTHING, True)
+        parts, is_every = parts_of(condition, self.reachability.state, NOTHING, True)
         if not is_every:
             costs = [self.reachability.cost(self.reachability.of(*part)) for part in parts]
             parts = [part for part, cost in zip(parts, costs, strict=True) if cost == min(costs)][:_WAYS]

@@ -83,6 +83,13 @@ class PlanningStatus(Enum):
     DISAGREEMENT = "validators disagree"
 
 
+class Policy(Protocol):
+    """Says what to do wherever the outcomes of actions may lead."""
+
+    def stretch(self, state: State, /) -> Plan | None:
+        """Return what to do from a state up to the next action with several outcomes, or to the goal; None if it says nothing of it."""
+
+
 @dataclass(frozen=True, slots=True)
 class PlanningResult:
     """The answer of a planner: a valid plan, or why there is none."""
@@ -92,6 +99,8 @@ class PlanningResult:
     message: str = ""
     planner: str = ""
     """The planner that found the plan, or did not; the members of a portfolio, joined by commas."""
+    policy: Policy | None = None
+    """What the plan is the beginning of, where actions have several outcomes."""
 
     @property
     def reason(self) -> str:
@@ -107,7 +116,7 @@ class CancelToken(Protocol):
 
 
 _LINE: Final = re.compile(r"\s*(?:(?P<time>[0-9.eE+-]+)\s*:)?\s*\((?P<call>[^()]*)\)\s*(?:\[(?P<duration>[0-9.eE+-]+)\])?\s*")
-_GAP: Final = 0.001
+GAP: Final = 0.001
 """Seconds between the end of a call and the start of the next one, where the text has no times."""
 ASSUMED_SECONDS: Final = 1.0
 """Seconds of a call of which nothing is known, as planners count them."""
@@ -126,7 +135,7 @@ def read_plan(text: str, problem: Problem, name: str = "plan") -> Plan:
         if content.strip():
             step = _step(content, names, state, Position(name, number, len(content) - len(content.lstrip()) + 1), now)
             steps.append(step)
-            now = step.start + step.duration + _GAP
+            now = step.start + step.duration + GAP
     return Plan(tuple(sorted(steps, key=attrgetter("start"))), problem.is_timed)
 
 

@@ -22,18 +22,15 @@ from planner_bridge.model.problem import TOTAL_COST, Problem
 from planner_bridge.planning.normal_form import Assignment, schema_assignments
 from pnm.core.logic.conditions import (
     All,
-    Any,
     Compare,
     Condition,
-    Exists,
-    ForAll,
     Holds,
-    Implies,
     Not,
     conjuncts,
     evaluate,
     fluents,
     ground,
+    parts_of,
 )
 from pnm.core.logic.domain import ActionSchema
 from pnm.core.logic.expressions import (
@@ -111,10 +108,6 @@ class _Use:
     is_waiting: bool = True
 
 
-_Part: TypeAlias = tuple[Condition, Environment, bool]
-"""A condition, with objects for its variables, that is to be true or false."""
-
-
 class Reachability:
     """The literals that the goal may need, each with its lack; what is `possible` may have any value. All of it is mutable state."""
 
@@ -162,7 +155,7 @@ class Reachability:
             if self._use and way.lack:
                 way.needed_by[self._use] = None
             return way.lack
-        parts, is_every = self.parts(condition, env, truth)
+        parts, is_every = parts_of(condition, self.state, env, truth)
         lacks = [self.of(*part) for part in parts]
         self._steps += 1 + sum(map(len, lacks))
         return frozenset().union(*lacks) if is_every else min(lacks, key=self.cost, default=frozenset({condition}))
@@ -184,7 +177,7 @@ class Reachability:
             return ()
         if literal := literal_of(condition, env, truth):
             return (literal.condition,)
-        parts, is_every = self.parts(condition, env, truth)
+        parts, is_every = parts_of(condition, self.state, env, truth)
         if together and not is_every:
             whole = ground(condition, env)
             return (whole if truth else Not(whole),)
@@ -195,20 +188,6 @@ class Reachability:
         chosen = parts if is_every else parts[:1]
         lacks = dict.fromkeys(lack for part in chosen for lack in self.lacking(*part, together=together))
         return tuple(lacks) or (condition if truth else Not(condition),)
-
-    def parts(self, condition: Condition, env: Environment, truth: bool) -> tuple[list[_Part], bool]:
-        """Return the parts of a condition, or of its opposite, and whether every one of them is needed."""
-        match condition:
-            case Not(operand):
-                return [(operand, env, not truth)], True
-            case All(operands) | Any(operands):
-                return [(operand, env, truth) for operand in operands], isinstance(condition, All) is truth
-            case Implies(left, right):
-                return [(left, env, not truth), (right, env, truth)], not truth
-            case ForAll(variables, body) | Exists(variables, body):
-                return [(body, inner, truth) for inner in choices(variables, self.state, env)], isinstance(condition, ForAll) is truth
-            case _:  # what is computed at run time may come out either way
-                return [], True
 
     def way(self, literal: GoalLiteral) -> Way:
         """Return a way for the literal to become true."""

@@ -9,6 +9,7 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Collection, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from math import inf
 from typing import TYPE_CHECKING, Final
@@ -57,7 +58,7 @@ def solve(
 ) -> PlanningResult:
     """Search for a plan, validate it, and leave out what it does not need, at most `timeout` seconds.
 
-    Of an action with several outcomes the plan expects the one that suits it, as if it could choose.
+    Of an action with several outcomes the plan expects the one that suits it; there is a policy for the others, if one was found.
 
     Args:
         planner: kairos, an engine of unified-planning, ``race`` for several at once, or ``race:kairos,aries`` for these.
@@ -80,8 +81,19 @@ def solve(
         if problem.has_tasks:
             message = "task networks with actions that have several outcomes"
             return PlanningResult(PlanningStatus.UNSUPPORTED, message=message, planner=planner)
-        from planner_bridge.model.determinization import determinization  # here, because most actions have one outcome
+        from planner_bridge.model.determinization import determinization  # here and below, because most actions have one outcome
 
+        if planner == DEFAULT_PLANNER:
+            from planner_bridge.planning.policies.policy import find_policy
+            from planner_bridge.planning.policies.task import Unsuitable
+
+            began = time.monotonic()
+            with suppress(Unsuitable):
+                policy = find_policy(problem, timeout / 2.0, cancel)
+                if policy is not None:
+                    plan = policy.plan(initial_knowledge(problem))
+                    return PlanningResult(PlanningStatus.SOLVED, plan, planner=planner, policy=policy)
+            timeout = max(0.0, timeout - (time.monotonic() - began))
         each = determinization(problem)
         found = solve(
             each.problem,

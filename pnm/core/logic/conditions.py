@@ -187,6 +187,26 @@ def every_part(condition: Condition) -> Iterator[Condition]:
         waiting += operands_of(part)[::-1]
 
 
+def parts_of(
+    condition: Condition, state: State, env: Environment = NOTHING, truth: bool = True
+) -> tuple[list[tuple[Condition, Environment, bool]], bool]:
+    """Return the parts of a condition, or of its opposite, quantifiers written out, and whether every one of them is needed.
+
+    A part is a condition, with objects for its variables, that is to be true or false. A fact has none, and a computed value neither.
+    """
+    match condition:
+        case Not(operand):
+            return [(operand, env, not truth)], True
+        case All(operands) | Any(operands):
+            return [(operand, env, truth) for operand in operands], isinstance(condition, All) is truth
+        case Implies(left, right):
+            return [(left, env, not truth), (right, env, truth)], not truth
+        case ForAll(variables, body) | Exists(variables, body):
+            return [(body, inner, truth) for inner in choices(variables, state, env)], isinstance(condition, ForAll) is truth
+        case _:  # what is computed at run time may come out either way
+            return [], True
+
+
 Count: TypeAlias = Callable[[tuple[str, ...]], int]
 """Returns how many objects are of any of the types."""
 

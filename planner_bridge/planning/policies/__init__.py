@@ -1,0 +1,1 @@
+"""Policies: what to do in which state, where actions may turn out in several ways."""

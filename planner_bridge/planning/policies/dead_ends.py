@@ -1,0 +1,186 @@
+"""Dead ends: partial states from which nothing leads to the goal whatever happens, and the actions that must not be used because of them.
+
+Delete relaxation in both directions: a fact that may become true stays possibly true, one that may become false possibly false, and an
+action may have all its outcomes at once. What does not reach the goal even so never does, and neither does any state with the
+literals that keep it from doing so: those are the dead end. An action that may lead to a dead end is forbidden in the states of a
+part; that an action is not forbidden is one more condition of it here.
+"""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Iterable
+from typing import Final
+
+from planner_bridge.planning.policies.task import ANY, Action, Part, Task, places
+
+_ALWAYS: Final = 0
+_GOAL: Final = 1
+
+
+class DeadEnds:
+    """The dead ends so far and the forbidden actions: mutable state.
+
+    A literal is a number: twice the place of a fact, plus 2 for true and 3 for false; others stand for "this pair of an action and a part
+    does not forbid it". A rule makes its literals possible once all that it needs is.
+    """
+
+    def __init__(self, task: Task) -> None:
+        self.task, self.ends = task, list[Part]()
+        self.is_certain = True
+        """Whether all of them are known to be dead ends: a time-out proves nothing."""
+        self.forbidden: dict[Action, list[Part]] = defaultdict(list)
+        self._count = 2 * len(task.facts) + 2
+        self._places = range(0, 2 * len(task.facts), 2)
+        self._groups = {1 << number: group for group in task.groups for number in places(group)}
+        self._needs: list[list[int]] = []
+        self._makes: list[tuple[int, ...]] = []
+        self._needed_by: list[list[int]] = [[] for _ in range(self._count)]
+        self._made_by: list[list[int]] = [[] for _ in range(self._count)]
+        self._rules_of: dict[Action, list[int]] = defaultdict(list)
+        self._leading: dict[tuple[int, bool], list[tuple[Part, int, int, int, Action]]] = defaultdict(list)
+        """For every fact that becomes true, or false, how: under this condition, with other facts that it excludes, by these changes."""
+        for action in task.actions:
+            changes: dict[Part, tuple[int, int]] = {}
+            for change in (change for outcome in action.outcomes for change in outcome.changes):
+                add, delete = changes.get(change.condition, (0, 0))
+                changes[change.condition] = add | change.add, delete | change.delete
+            for part in action.conditions:
+                excluded = self._excluded(part.true)
+                for outcome in action.outcomes:
+                    if [change.condition for change in outcome.changes] == [ANY]:
+                        ((_, add, delete),) = outcome.changes
+                        way = part, excluded, add, delete & ~add, action
+                        for place in places(add | delete):
+                            self._leading[place, not add >> place & 1].append(way)
+                for condition, (add, delete) in changes.items():
+                    self._rules_of[action].append(len(self._needs))
+                    self._rule(_literals(part.joined(condition)), _literals(Part(add, delete)))
+        for part in task.goal:
+            self._rule(_literals(part), [_GOAL])
+        read = [part for action in task.actions for part in action.conditions] + [
+            change.condition for action in task.actions for outcome in action.outcomes for change in outcome.changes
+        ]
+        self.read = 0
+        """The facts on which anything depends."""
+        for part in (*read, *task.goal):
+            self.read |= part.true | part.false
+
+    def _rule(self, needs: list[int], makes: Iterable[int]) -> None:
+        number = len(self._needs)
+        self._needs.append(needs or [_ALWAYS])
+        self._makes.append(tuple(makes))
+        for literal in self._needs[number]:
+            self._needed_by[literal].append(number)
+        for literal in self._makes[number]:
+            self._made_by[literal].append(number)
+
+    # --- what is dead ---
+
+    def __contains__(self, state: int) -> bool:
+        return any(end.holds(state) for end in self.ends)
+
+    def is_forbidden(self, action: Action, state: int) -> bool:
+        """Return whether the action must not be used in the state."""
+        return action in self.forbidden and any(part.holds(state) for part in self.forbidden[action])
+
+    def explained(self, state: int) -> Part | None:
+        """Return a part with the state in it from which the goal cannot be reached even if nothing is undone; None if it may be."""
+        reached = self._reached(Part(state & self.read, ~state & self.read))
+        if reached is None:
+            return None
+        return self._reason(reached, state)
+
+    def exactly(self, state: int) -> Part:
+        """Return the part that stands for the state, and for others that differ in nothing of importance."""
+        true = state & self.read
+        return Part(true, ~state & self.read & ~self._excluded(true))
+
+    def _excluded(self, true: int) -> int:
+        """Return the facts that cannot be true together with these."""
+        return sum(group & ~true for group in self.task.groups if group & true)
+
+    def _reached(self, part: Part) -> bytearray | None:
+        """Return which literals can be reached; None if the goal can."""
+        left = [*map(len, self._needs)]
+        reached = bytearray(self._count)
+        true, false = part.true, part.false | self._excluded(part.true)
+        count = len(self.task.facts)
+        everything = (1 << count) - 1
+        waiting = [_ALWAYS]
+        for kind, literals in ((2, false), (3, true)):
+            bits = format(everything & ~literals, f"0{count}b")[::-1]
+            waiting += [place + kind for place, bit in zip(self._places, bits, strict=False) if bit == "1"]
+        for literal in waiting:
+            reached[literal] = 1
+        needed_by, makes = self._needed_by, self._makes
+        while waiting:
+            for rule in needed_by[waiting.pop()]:
+                left[rule] -= 1
+                if not left[rule]:
+                    for literal in makes[rule]:
+                        if not reached[literal]:
+                            if literal == _GOAL:
+                                return None
+                            reached[literal] = 1
+                            waiting.append(literal)
+        return reached
+
+    def _reason(self, reached: bytearray, state: int) -> Part:
+        """Return literals of the state that keep the goal from being reached: each rule for the goal misses one, and so on."""
+        chosen, waiting = {_GOAL}, [_GOAL]
+        count = 2 * len(self.task.facts) + 2
+
+        def weight(literal: int) -> tuple[bool, int, int]:
+            in_group = literal < count and not literal & 1 and 1 << (literal // 2 - 1) in self._groups
+            return not in_group, len(self._made_by[literal]), literal
+
+        while waiting:
+            for rule in self._made_by[waiting.pop()]:
+                if not any(literal in chosen for literal in self._needs[rule]):
+                    literal = min((literal for literal in self._needs[rule] if not reached[literal]), key=weight)
+                    chosen.add(literal)
+                    waiting.append(literal)
+        true = false = 0
+        for literal in chosen:
+            if 2 <= literal < count:
+                bit = 1 << (literal // 2 - 1)
+                if literal & 1:
+                    true |= bit
+                elif here := self._groups.get(bit, 0) & state:
+                    true |= here
+                else:
+                    false |= bit
+        return Part(true, false)
+
+    # --- what is forbidden because of it ---
+
+    def add(self, part: Part) -> None:
+        """Note a dead end, and forbid what leads to it."""
+        self.ends.append(part)
+        true, false = part
+        for condition, excluded, add, delete, action in dict.fromkeys(
+            way for place in places(true | false) for way in self._leading[place, bool(false >> place & 1)]
+        ):
+            if not (add & false or delete & true or (condition.false | excluded) & true & ~add or condition.true & false & ~delete):
+                self.forbid(action, condition.joined(Part(true & ~add, false & ~delete)))
+
+    def forbid(self, action: Action, part: Part) -> None:
+        """Forbid the action in states of the part, unless it is forbidden there already."""
+        known = self.forbidden[action]
+        if any(part.implies(other) for other in known):
+            return
+        self.forbidden[action] = [other for other in known if not other.implies(part)] + [part]
+        escape = self._count
+        self._count += 1
+        self._needed_by.append([])
+        self._made_by.append([])
+        for literal in _literals(Part(part.false, part.true)):
+            self._rule([literal], [escape])
+        for rule in self._rules_of[action]:
+            self._needs[rule].append(escape)
+            self._needed_by[escape].append(rule)
+
+
+def _literals(part: Part) -> list[int]:
+    return [2 * place + 2 for place in places(part.true)] + [2 * place + 3 for place in places(part.false)]

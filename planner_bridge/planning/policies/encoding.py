@@ -1,0 +1,145 @@
+"""The encoding of a task for Kairos: an action for every outcome, and forbidden pairs of actions and states.
+
+An action that is forbidden in some states is copied for these objects, without parameters, with the states ruled out in its
+precondition; a fact that never changes keeps Kairos from using the general action for these objects. Texts are joined from ready parts.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
+from functools import cache
+from typing import Final
+
+import kairos
+
+from planner_bridge.model.determinization import determinized_domain
+from planner_bridge.model.forbidden_actions import guarded, unused_name
+from planner_bridge.model.plan import SpelledNames
+from planner_bridge.model.problem import Problem
+from planner_bridge.pddl.writer import write_domain, write_problem
+from planner_bridge.planning.policies.task import ANY, Action, Outcome, Part, Task, places
+from pnm.core.logic.conditions import Holds, Not
+from pnm.core.logic.domain import Declaration
+from pnm.core.logic.expressions import fluent_text
+
+WAYS: Final = (("ff", 0.2), ("eager-lama", 1.0), ("auto", 5.0))
+"""Ways of searching in Kairos, and the seconds that each gets; the last one, its own, also proves that there is no plan."""
+
+Step = tuple[Action, int]
+"""An action, and the number of the outcome that is hoped for."""
+
+
+class OutOfTime(Exception):
+    """Kairos has found no plan, which proves nothing."""
+
+
+class Determinization:
+    """What Kairos is asked for: a plan for the case that every outcome can be chosen. The domain's text is mutable state."""
+
+    def __init__(self, problem: Problem, task: Task) -> None:
+        self._task, self._planner = task, kairos.Planner()  # type: ignore[no-untyped-call]
+        self.calls = 0
+        self._actions = {(action.name, action.arguments): action for action in task.actions}
+        domain, stand_for = determinized_domain(problem.domain, problem.members)
+        numbers = {(name, way.name): number for name, ways in task.alternatives.items() for number, way in enumerate(ways)}
+        self._of = {name: (action, numbers[action, way]) for name in domain.actions for action, way in [stand_for.get(name, (name, ""))]}
+        self._guards = {name: unused_name(f"only-copies--{name}", domain) for name in problem.domain.actions}
+        self._domain = replace(
+            domain,
+            requirements=tuple(dict.fromkeys((*domain.requirements, ":adl"))),
+            constants=problem.objects,
+            hierarchy=(),
+            borrowed={},
+        )
+        self._names = SpelledNames(replace(problem, domain=self._domain, own_objects={}))
+        static = {fluent: value for fluent, value in problem.init.items() if fluent not in frozenset(task.facts)}
+        text = write_problem(replace(problem, domain=self._domain, own_objects={}, init=static, metric=None))
+        self._before, init, self._after = text.partition("(:init")
+        self._before += init
+        self._text_of = cache(lambda place: fluent_text(task.facts[place]))
+        self._parsed: tuple[object, kairos.Domain] | None = None
+        self._copies: dict[str, Step] = {}
+        self._guarding = ""
+
+    def plan(self, state: int, forbidden: Mapping[Action, Sequence[Part]], until: float) -> list[Step] | None:
+        """Return steps from the state to the goal; None if there are none.
+
+        Raises:
+            OutOfTime: none were found in time, or by this time on the clock of `time.monotonic`.
+        """
+        domain = self._domain_for({action: tuple(parts) for action, parts in forbidden.items() if parts})
+        facts = " ".join(map(fluent_text, self._task.named(state)))
+        parsed = kairos.parse_problem(f"{self._before} {facts} {self._guarding}{self._after}", domain)
+        self.calls += 1
+        for way, seconds in WAYS:
+            limit = min(seconds, until - time.monotonic())
+            if limit <= 0.0:
+                raise OutOfTime
+            search: kairos.Search = self._planner.start(parsed, timeout=limit, anytime=False, threads=1, search=way)
+            found = search.next_plan(limit)
+            if found is None:
+                status = search.wait().status
+                found = search.best()
+                if found is None and way == WAYS[-1][0] and status is kairos.Status.UNSOLVABLE:
+                    return None
+            search.stop()
+            if found is not None:
+                return [self._step(step) for step in found.steps]
+        raise OutOfTime
+
+    def _step(self, step: kairos.PlanStep) -> Step:
+        if copy := self._copies.get(step.name.lower()):
+            return copy
+        spelled = self._names.step(step.name, step.args, 0.0, 0.0)
+        action, number = self._of[spelled.action]
+        return self._actions[action, spelled.arguments], number
+
+    def _domain_for(self, forbidden: Mapping[Action, tuple[Part, ...]]) -> kairos.Domain:
+        if self._parsed is not None and self._parsed[0] == forbidden:
+            return self._parsed[1]
+        concerned = sorted({action.name for action in forbidden})
+        predicates, actions = dict(self._domain.predicates), {}
+        for name, schema in self._domain.actions.items():
+            if (of := self._of[name][0]) in concerned:
+                guard = self._guards[of]
+                predicates[guard] = Declaration(guard, schema.parameters)
+                schema = guarded(schema, Not(Holds((guard, *(variable.name for variable in schema.parameters)))))
+            actions[name] = schema
+        text = write_domain(replace(self._domain, predicates=predicates, actions=actions)).rstrip()
+        self._copies, copies, guarding = {}, [text[:-1]], []
+        for place, action in enumerate(action for action in self._task.actions if action in forbidden):
+            guarding.append(f"({' '.join((self._guards[action.name], *action.arguments))})")
+            for alternative, condition in enumerate(action.conditions):
+                clauses = self._clauses(condition, forbidden[action])
+                if "" in clauses:
+                    continue
+                for number, outcome in enumerate(action.outcomes):
+                    if outcome.changes:
+                        name = f"{action.name}--{number}--{place}--{alternative}"
+                        self._copies[name.lower()] = action, number
+                        needed = f"(and {self._literals(condition)}{' '.join(clauses)})"
+                        copies.append(f"(:action {name} :parameters () :precondition {needed} :effect {self._effect(outcome)})")
+        self._guarding = " ".join(guarding)
+        domain = kairos.parse_domain("\n".join((*copies, ")")))
+        self._parsed = forbidden, domain
+        return domain
+
+    def _literals(self, part: Part) -> str:
+        return "".join(
+            (*(self._text_of(place) for place in places(part.true)), *(f"(not {self._text_of(place)})" for place in places(part.false)))
+        )
+
+    def _clauses(self, condition: Part, forbidden: Iterable[Part]) -> list[str]:
+        """Return what rules the parts out where the condition holds; an empty one if nothing does."""
+        parts = [part for part in forbidden if not (part.true & condition.false or part.false & condition.true)]
+        found = [self._literals(Part(part.false & ~condition.false, part.true & ~condition.true)) for part in parts]
+        return [text and f"(or {text})" for text in found]
+
+    def _effect(self, outcome: Outcome) -> str:
+        effects = []
+        for condition, add, delete in outcome.changes:
+            changes = self._literals(Part(add, delete & ~add))
+            effects.append(changes if condition == ANY else f"(when (and {self._literals(condition)}) (and {changes}))")
+        return f"(and {''.join(effects)})"

@@ -1,0 +1,291 @@
+"""The search for a policy that reaches the goal for certain as long as every outcome comes up sooner or later (strong cyclic).
+
+After PRP (Muise, McIlraith and Beck, *Improved Non-Deterministic Planning by Exploiting State Relevance*, 2012), with states settled by
+their strongly connected components (Tarjan 1972):
+
+- A depth-first walk from the initial state gives each state an action: of a plan that Kairos finds as if outcomes could be chosen.
+  Plans are kept, as what has to hold before each of their steps, and used for other states too.
+- A state without a plan is a dead end. What leads to such states is forbidden from then on, and the walk goes back to the first
+  state on its way with an action that is forbidden now.
+- When the walk leaves a component, all that it leads to is settled, and so it is settled as a whole: each state *needs* the condition of
+  its action, and what its successors need, carried back through the outcomes; the least that is so. These are entries of the policy for
+  good, for whatever states they fit: a policy is closed on partial states, of which there are few.
+"""
+
+from __future__ import annotations
+
+import time
+from bisect import insort
+from collections import defaultdict, deque
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from math import inf
+from typing import Final, NamedTuple
+
+from planner_bridge.model.plan import CancelToken
+from planner_bridge.planning.policies.dead_ends import DeadEnds
+from planner_bridge.planning.policies.encoding import Determinization, OutOfTime, Step
+from planner_bridge.planning.policies.task import Action, Outcome, Part, Task
+
+_EXACT: Final = 1e-6
+
+
+class Entry(NamedTuple):
+    """An entry of a policy: how many actions are expected from there on, what has to hold, what to do."""
+
+    expected: float
+    distance: int
+    """Actions until the goal, with luck."""
+    need: Part
+    number: int
+    """In the order in which they were found, so that entries can be sorted."""
+    action: Action | None
+    """None at the goal."""
+
+
+@dataclass
+class _Frame:
+    """A state on the way of the walk, and its successors that are still to be looked at."""
+
+    state: int
+    action: Action
+    successors: Iterator[int]
+    low: int = 0
+
+
+class Interrupted(Exception):
+    """The search was cancelled, or its time is over."""
+
+
+class Search:
+    """The search for a strong cyclic policy: entries, dead ends and plans so far are mutable state."""
+
+    def __init__(self, task: Task, kairos: Determinization, until: float = inf, cancel: CancelToken | None = None) -> None:
+        self.task, self.kairos, self.until, self._cancel = task, kairos, until, cancel
+        self.dead = DeadEnds(task)
+        self.entries: list[Entry] = []
+        """Those that reach the goal whatever the outcomes, the fewest expected actions first."""
+        self._plans: list[tuple[int, int, Part, Action]] = []
+        """What has to hold before the steps of plans, and these, the nearest to the goal first."""
+        self._kept = set[tuple[Part, Action]]()
+        self._looked_at = set[int]()
+        """States of which is known whether they are dead ends even if nothing is undone."""
+        self._chosen: dict[int, Action] = {}
+        """Actions for single states, which come before those of plans."""
+        self._avoided = set[int]()
+        """States in which plans for others led in a circle."""
+
+    def settled(self, state: int) -> Entry | None:
+        """Return the entry for the state; None if there is none yet."""
+        if part := self.task.goal_in(state):
+            return Entry(0.0, 0, part, 0, None)
+        return next((entry for entry in self.entries if not (entry[2][0] & ~state or entry[2][1] & state)), None)
+
+    def run(self, state: int) -> bool:
+        """Settle the state; return whether there is a policy for it, in so far as `dead.is_certain`. Raises `Interrupted`."""
+        order: dict[int, int] = {}
+        stack: list[int] = []
+        frames: list[_Frame] = []
+        if self.settled(state):
+            return True
+
+        def enter(state: int) -> None:
+            """Give a state an action; go back as long as there is none."""
+            while (action := self._action(state)) is None:
+                at = next((at for at, frame in enumerate(frames) if self.dead.is_forbidden(frame.action, frame.state)), None)
+                if at is None:
+                    if not frames:
+                        raise _NoPolicy
+                    at = len(frames) - 1
+                    self.dead.forbid(frames[at].action, self.dead.exactly(frames[at].state))
+                state = frames[at].state
+                leave(state)
+                del frames[at:]
+            order[state] = len(stack)
+            stack.append(state)
+            frames.append(_Frame(state, action, iter([*dict.fromkeys(way.after(state) for way in action.outcomes)]), order[state]))
+
+        def leave(state: int) -> list[int]:
+            """Take the state, and what came after it, off the stack."""
+            component = stack[order[state] :]
+            del stack[order[state] :]
+            for one in component:
+                del order[one]
+            return component
+
+        try:
+            enter(state)
+            while frames:
+                if time.monotonic() > self.until or (self._cancel is not None and self._cancel.is_set()):
+                    raise Interrupted
+                frame = frames[-1]
+                successor = next(frame.successors, None)
+                if successor is None:
+                    frames.pop()
+                    if frames:
+                        frames[-1].low = min(frames[-1].low, frame.low)
+                    if frame.low == order[frame.state]:
+                        component = leave(frame.state)
+                        if not self._settle(component):
+                            enter(frame.state)
+                elif successor in order:
+                    frame.low = min(frame.low, order[successor])
+                elif not self.settled(successor):
+                    enter(successor)
+        except _NoPolicy:
+            return False
+        return True
+
+    # --- an action for a state ---
+
+    def _action(self, state: int) -> Action | None:
+        """Return an action for a state that is not settled; None if it is a dead end, which is noted."""
+        while state not in self.dead:
+            action = self._known(state)
+            if action is not None:
+                self._chosen[state] = action
+                return action
+            if self._is_dead(state):
+                return None
+            try:
+                steps = self.kairos.plan(state, self.dead.forbidden, self.until)
+            except OutOfTime:
+                if time.monotonic() > self.until:
+                    raise Interrupted from None
+                self.dead.is_certain, steps = False, None
+            if steps is None:
+                self.dead.add(self.dead.exactly(state))
+            else:
+                self._keep(state, steps)
+        return None
+
+    def _known(self, state: int) -> Action | None:
+        chosen = self._chosen.get(state)
+        if chosen is not None and not self.dead.is_forbidden(chosen, state):
+            return chosen
+        if state in self._avoided:
+            return None
+        fitting = (action for _, _, part, action in self._plans if part.holds(state))
+        return next((action for action in fitting if not self.dead.is_forbidden(action, state)), None)
+
+    def _is_dead(self, state: int) -> bool:
+        """Return whether the state is a dead end even if nothing is undone; note that it is."""
+        if part := self.dead.explained(state):
+            self.dead.add(part)
+        return part is not None
+
+    def _keep(self, state: int, steps: Iterable[Step]) -> None:
+        """Keep a plan, unless an outcome on its way is a dead end; that is noted.
+
+        What is kept: its actions for the states on its way, and what has to hold before each for whatever other states fit.
+        """
+        way: list[tuple[int, Step]] = []
+        is_safe = True
+        for action, number in steps:
+            if self.task.goal_in(state):
+                break
+            way.append((state, (action, number)))
+            for after in (outcome.after(state) for outcome in action.outcomes):
+                if after not in self._looked_at:
+                    self._looked_at.add(after)
+                    if not self.settled(after) and self._is_dead(after) and not self.dead.is_forbidden(action, state):
+                        self.dead.forbid(action, self.dead.exactly(state))
+            is_safe &= not self.dead.is_forbidden(action, state)
+            state = action.outcomes[number].after(state)
+        if not is_safe:
+            return
+        need = self.task.goal_in(state)
+        assert need is not None, "Kairos' plan reaches the goal"
+        for distance, (state, (action, number)) in enumerate(reversed(way), 1):
+            condition = action.condition_in(state)
+            assert condition is not None, f"{action} can be used"
+            need = condition.joined(action.outcomes[number].before(need, state))
+            if (need, action) not in self._kept:
+                self._kept.add((need, action))
+                insort(self._plans, (distance, len(self._kept), need, action))
+        for state, (action, _) in way:
+            if (chosen := self._chosen.get(state)) is not None and not self.dead.is_forbidden(chosen, state):
+                break
+            self._chosen[state] = action
+
+    # --- a component ---
+
+    def _settle(self, component: list[int]) -> bool:
+        """Make entries of the states of a component, all successors of which are settled or in it; return whether it was possible.
+
+        It is not if an action was forbidden since, or nothing leads out.
+        """
+        actions = {state: self._chosen[state] for state in component}
+        if any(self.dead.is_forbidden(action, state) for state, action in actions.items()):
+            return False
+        before: dict[int, list[tuple[int, Outcome]]] = defaultdict(list)
+        """For each state of the component, how others in it lead there."""
+        ends: dict[int, list[tuple[Outcome, Entry]]] = defaultdict(list)
+        for state, action in actions.items():
+            for outcome in action.outcomes:
+                after = outcome.after(state)
+                if after in actions:
+                    before[after].append((state, outcome))
+                else:
+                    entry = self.settled(after)
+                    assert entry is not None, "what a component leads to is settled before it"
+                    ends[state].append((outcome, entry))
+        distance = {state: 1 + min(entry.distance for _, entry in found) for state, found in ends.items()}
+        waiting = deque(sorted(distance, key=distance.__getitem__))
+        while waiting:
+            after = waiting.popleft()
+            for state, _ in before[after]:
+                if distance.get(state, inf) > distance[after] + 1:
+                    distance[state] = distance[after] + 1
+                    waiting.append(state)
+        if len(distance) < len(actions):
+            self._avoided.update(component)
+            for state in component:
+                del self._chosen[state]
+            return False
+        needs: dict[int, Part] = {}
+        for state, action in actions.items():
+            need = action.condition_in(state)
+            assert need is not None, f"{action} can be used"
+            for outcome, entry in ends[state]:
+                need = need.joined(outcome.before(entry.need, state))
+            needs[state] = need
+        waiting.extend(needs)
+        while waiting:
+            after = waiting.popleft()
+            for state, outcome in before[after]:
+                need = needs[state].joined(outcome.before(needs[after], state))
+                if need != needs[state]:
+                    needs[state] = need
+                    waiting.append(state)
+        expected = self._expected(sorted(component, key=distance.__getitem__), actions, ends)
+        for state in component:
+            entry = Entry(expected[state], distance[state], needs[state], len(self.entries), actions[state])
+            if not any(entry.need.implies(other.need) for other in self.entries if other.expected <= entry.expected):
+                insort(self.entries, entry)
+        return True
+
+    def _expected(
+        self, component: list[int], actions: Mapping[int, Action], ends: Mapping[int, list[tuple[Outcome, Entry]]]
+    ) -> dict[int, float]:
+        """Return how many actions are expected from each state on (Gauss-Seidel iteration, to a millionth)."""
+        rows = []
+        for state in component:
+            chances: dict[int, float] = defaultdict(float)
+            for outcome in actions[state].outcomes:
+                chances[outcome.after(state)] += outcome.chance
+            fixed = 1.0 + sum(outcome.chance * entry.expected for outcome, entry in ends[state])
+            stays = chances.pop(state, 0.0)
+            rows.append((state, 1.0 - stays, fixed, [(after, chance) for after, chance in chances.items() if after in actions]))
+        values, change = dict.fromkeys(component, 0.0), inf
+        while change > _EXACT:
+            change = 0.0
+            for state, goes, fixed, others in rows:
+                value = (fixed + sum(chance * values[after] for after, chance in others)) / goes
+                change = max(change, (value - values[state]) / value)
+                values[state] = value
+        return values
+
+
+class _NoPolicy(Exception):
+    """The first state is a dead end."""

@@ -1,0 +1,183 @@
+"""Small random problems whose actions have several outcomes, and exact answers about them by looking at every state."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import product
+from random import Random
+
+from planner_bridge.model.grounding import ground_step, initial_knowledge
+from planner_bridge.model.plan import Policy
+from planner_bridge.model.problem import Problem
+from pnm.core.knowledge_base import KnowledgeBase
+from pnm.core.logic.conditions import evaluate
+from pnm.core.logic.effects import Alternative, changes
+from pnm.core.logic.expressions import Fluent
+
+State = frozenset[Fluent]
+
+DOMAIN = """
+(define (domain chance)
+  (:requirements :adl :non-deterministic :probabilistic-effects)
+  (:types thing)
+  (:predicates (p ?x - thing) (q ?x - thing) (r ?x - thing))
+  {actions})
+"""
+PROBLEM = "(define (problem p) (:domain chance) (:objects a b - thing) (:init {init}) (:goal (and {goal})))"
+
+FACTS = [f"({name} {thing})" for name in "pqr" for thing in "ab"]
+
+
+def texts(seed: int) -> tuple[str, str]:
+    """Return the texts of a random domain and problem with six facts, the goal of which does not hold at first."""
+    random = Random(seed)
+
+    def literal(*terms: str, true: float = 0.5) -> str:
+        fact = f"({random.choice('pqr')} {random.choice(terms)})"
+        return fact if random.random() < true else f"(not {fact})"
+
+    def simple(*terms: str) -> str:
+        kind = random.random()
+        if kind < 0.7:
+            return literal(*terms, true=0.6)
+        if kind < 0.9:
+            return f"(when {literal(*terms)} {literal(*terms, true=0.6)})"
+        return f"(forall (?y - thing) (when {literal('?y')} {literal('?y', *terms)}))"
+
+    def effect(*terms: str) -> str:
+        kind = random.random()
+        if kind < 0.4:
+            return simple(*terms)
+        ways = [f"(and {' '.join(simple(*terms) for _ in range(random.choice((0, 1, 1, 2))))})" for _ in range(random.choice((2, 2, 3)))]
+        if kind < 0.75:
+            return f"(oneof {' '.join(ways)})"
+        if kind < 0.9:
+            return f"(probabilistic {' '.join(f'0.{number} {way}' for number, way in enumerate(ways, 2))})"
+        return f"(when {literal(*terms)} (oneof {' '.join(ways)}))"
+
+    actions = []
+    for number in range(random.randint(3, 7)):
+        terms = ("?x", "?x", "a", "b") if random.random() < 0.5 else ("a", "b")
+        needed = [literal(*terms) for _ in range(random.choice((0, 1, 1, 2, 2)))]
+        if random.random() < 0.2:
+            needed.append(f"(or {literal(*terms)} {literal(*terms)})")
+        effects = " ".join(effect(*terms) for _ in range(random.choice((1, 1, 2))))
+        parameters = "?x - thing" if "?x" in terms else ""
+        actions.append(f"(:action a{number} :parameters ({parameters}) :precondition (and {' '.join(needed)}) :effect (and {effects}))")
+    goal = random.sample(FACTS, random.choice((1, 2, 2, 3)))
+    init = [fact for fact in FACTS if fact not in goal and random.random() < 0.5]
+    return DOMAIN.format(actions="\n  ".join(actions)), PROBLEM.format(init=" ".join(init), goal=" ".join(goal))
+
+
+@dataclass(frozen=True)
+class Exact:
+    """Every state that can be reached, and what may follow."""
+
+    problem: Problem
+
+    def knowledge(self, state: State) -> KnowledgeBase:
+        """Return the state as knowledge."""
+        return KnowledgeBase(dict.fromkeys(state, True), objects=self.problem.objects_by_type)
+
+    @cached_property
+    def initial(self) -> State:
+        """The initial state."""
+        return frozenset(fluent for fluent, value in initial_knowledge(self.problem).facts().items() if value is True)
+
+    def is_goal(self, state: State) -> bool:
+        """Whether the goal holds."""
+        return evaluate(self.problem.goal, self.knowledge(state)) is True
+
+    def turn_outs(self, state: State, action: str, arguments: tuple[str, ...]) -> dict[State, float] | None:
+        """Return the states that the action may lead to, with their chances; None if it cannot be used."""
+        knowledge = self.knowledge(state)
+        ground = ground_step(self.problem.domain, action, arguments, None, "", self.problem.members)
+        if evaluate(ground.precondition, knowledge) is not True:
+            return None
+        ways = ground.outcomes or (Alternative(ground.end_effects, 1.0),)
+        found: dict[State, float] = {}
+        for way in ways:
+            after = {**dict.fromkeys(state, True), **changes(way.effects, knowledge)}
+            new = frozenset(fluent for fluent, value in after.items() if value is True)
+            found[new] = found.get(new, 0.0) + (1.0 / len(ways) if way.chance is None else way.chance)
+        return found
+
+    @cached_property
+    def transitions(self) -> dict[State, list[dict[State, float]]]:
+        """For every state that can be reached and is no goal, the ways to go on."""
+        found: dict[State, list[dict[State, float]]] = {}
+        waiting = [self.initial]
+        while waiting:
+            state = waiting.pop()
+            if state in found or self.is_goal(state):
+                continue
+            found[state] = []
+            for schema in self.problem.domain.actions.values():
+                for arguments in product(*(self.knowledge(state).objects(variable.types) for variable in schema.parameters)):
+                    way = self.turn_outs(state, schema.name, tuple(arguments))
+                    if way is not None:
+                        found[state].append(way)
+                        waiting += way
+        return found
+
+    @property
+    def has_strong_cyclic_policy(self) -> bool:
+        """Whether some policy reaches the goal from the initial state as long as every outcome comes up sooner or later."""
+        kept = set(self.transitions)
+        while True:
+            safe = {
+                state: [way for way in self.transitions[state] if all(after in kept or self.is_goal(after) for after in way)]
+                for state in kept
+            }
+            reaching: set[State] = set()
+            before = -1
+            while len(reaching) > before:
+                before = len(reaching)
+                reaching |= {
+                    state for state, ways in safe.items() if any(after in reaching or self.is_goal(after) for way in ways for after in way)
+                }
+            if reaching == kept:
+                return self.is_goal(self.initial) or self.initial in kept
+            kept = reaching
+
+    @property
+    def best_chance(self) -> float:
+        """The chance of the goal by the best policy (value iteration)."""
+        values = dict.fromkeys(self.transitions, 0.0)
+        for _ in range(2_000):
+            change = 0.0
+            for state, ways in self.transitions.items():
+                value = max((sum(p * values.get(after, 1.0) for after, p in way.items()) for way in ways), default=0.0)
+                change, values[state] = max(change, abs(value - values[state])), value
+            if change < 1e-12:
+                break
+        return values.get(self.initial, 1.0)
+
+    def played(self, policy: Policy) -> tuple[float, float, bool]:
+        """Return the chance of the goal by the policy, its expected actions until it ends, and whether it ends nowhere but at the goal."""
+        chain: dict[State, dict[State, float]] = {}
+        waiting, stuck = [self.initial], False
+        while waiting:
+            state = waiting.pop()
+            if state in chain or self.is_goal(state):
+                continue
+            stretch = policy.stretch(self.knowledge(state))
+            if stretch is None:
+                chain[state], stuck = {}, True
+                continue
+            way = self.turn_outs(state, stretch.steps[0].action, stretch.steps[0].arguments)
+            assert way is not None, f"{stretch.steps[0]} can be used"
+            chain[state] = way
+            waiting += way
+        chances, costs = dict.fromkeys(chain, 0.0), dict.fromkeys(chain, 0.0)
+        for _ in range(20_000):
+            change = 0.0
+            for state, way in chain.items():
+                chance = sum(p * chances.get(after, 1.0) for after, p in way.items())
+                cost = bool(way) + sum(p * costs.get(after, 0.0) for after, p in way.items())
+                change = max(change, abs(chance - chances[state]), abs(cost - costs[state]))
+                chances[state], costs[state] = chance, cost
+            if change < 1e-12:
+                break
+        return chances.get(self.initial, 1.0), costs.get(self.initial, 0.0), not stuck
