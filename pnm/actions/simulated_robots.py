@@ -329,7 +329,8 @@ class SimulatedRobots:
             except Uncomputable as error:
                 problem = f"the result of {job.request.action} cannot be computed: {error}"
         kind = OutcomeKind.ABORTED if problem else OutcomeKind.SUCCEEDED
-        self._end(job, Outcome(kind, result, problem))
+        told = ended.outcome if ended.outcome in self.bindings.of(ended.name).outcomes else ""  # as a real one would tell it
+        self._end(job, Outcome(kind, result, problem, told))
 
     def _fail(self, job: _Job, kind: OutcomeKind, message: str) -> None:
         if job.request.id in self._jobs:

@@ -34,6 +34,7 @@ from pnm.core.logic.effects import (
     ground_effects,
     is_fixed,
     names_written,
+    values_before,
     written,
 )
 from pnm.core.logic.expressions import UNKNOWN, Constant, Fluent, Unknown, Value, ValueOf, bind, is_number, same_value
@@ -105,8 +106,8 @@ def already_true(action: GroundAction, knowledge: EvaluationContext) -> bool:
     An action of which nothing is expected and that changes nothing is never done already.
     """
     at_start, at_end = facts(action.start_effects, knowledge), facts(decided(action.end_effects, knowledge), knowledge)
-    # Numbers and conditional effects cannot be seen to be done already, so such a call is always made.
-    if at_start is None or at_end is None or not (at_start or at_end or action.expected != conditions.TRUE):
+    # Numbers and conditional effects cannot be seen to be done already, so such a call is always made; and so is one of several outcomes.
+    if action.outcomes or at_start is None or at_end is None or not (at_start or at_end or action.expected != conditions.TRUE):
         return False
     if conditions.evaluate(action.expected, knowledge) is not True:
         return False
@@ -123,6 +124,12 @@ class Intention:
     """Those of the action, once their early conditions are decided."""
     expected: Mapping[Fluent, Value] = field(default_factory=dict)
     """The facts and objects that sensors should report once the call has succeeded."""
+    outcomes: tuple[Intention, ...] = ()
+    """The declared outcomes that are possible, where it may have one of several; all that is not the same of them is in these then."""
+    before: Changes = field(default_factory=dict)
+    """The facts and objects in which sensors should see them differ, as they are if an outcome does not change them."""
+    name: str = ""
+    """That of the declared outcome."""
 
 
 def intention(call: ActionCall, knowledge: EvaluationContext) -> Intention:
@@ -132,6 +139,12 @@ def intention(call: ActionCall, knowledge: EvaluationContext) -> Intention:
     action, what is only decided at its end: effects under a condition, and values that are read then.
     """
     action = call.action
+    if action.outcomes:
+        only = [replace(call, action=replace(action, end_effects=way.effects, outcomes=())) for way in action.outcomes]
+        each = tuple([replace(intention(one, knowledge), name=way.name) for one, way in zip(only, action.outcomes, strict=True)])
+        begun, told = each[0].start, Changes({fluent: value for one in each for fluent, value in one.expected.items()})
+        before = values_before(told, knowledge) | {fluent: value for fluent, value in begun.items() if fluent in told}
+        return Intention(begun, outcomes=each, before=before)
     ending = decided(action.end_effects, knowledge)
     start, end = changes(action.start_effects, knowledge), changes(ending, knowledge)
     lasting = {fluent: value for fluent, value in start.items() if fluent in call.lasting}
@@ -154,6 +167,11 @@ def finished(action: GroundAction, intended: Intention, knowledge: EvaluationCon
     objects were decided when it was sent; its numbers change from what they are now, for others may
     have changed them meanwhile.
     """
+    if intended.outcomes:
+        ends = [finished(action, one, knowledge) for one in possible(intended, knowledge) or intended.outcomes]
+        before = values_before({fluent: value for end in ends for fluent, value in end.items()}, knowledge)
+        first, *others = ({**before, **end} for end in ends)
+        return {fluent: value if all(same_value(end[fluent], value) for end in others) else UNKNOWN for fluent, value in first.items()}
     now = changes(intended.end_effects, knowledge)
     if action.duration is not None:
         return now
@@ -166,15 +184,41 @@ def unseen(wanted: Mapping[Fluent, Value], action: GroundAction, knowledge: Eval
     Raises:
         Unanswered: a question has to be asked first.
     """
-    absent = ((fluent, value) for fluent, value in wanted.items() if not same_value(knowledge.world.value(fluent), value))
-    missing: list[conditions.Condition] = []
-    for fluent, value in absent:
-        fact = conditions.Holds(fluent) if isinstance(value, bool) else conditions.Compare("=", ValueOf(fluent), Constant(value))
-        missing.append(conditions.Not(fact) if value is False else fact)
-    base, changed = knowledge.world.rules.base, names_written(action.end_effects)  # what the end itself changes cannot be checked any more
+    missing = [stated(fluent, value) for fluent, value in wanted.items() if not same_value(knowledge.world.value(fluent), value)]
+    # what the end itself changes cannot be checked any more
+    base, changed = knowledge.world.rules.base, names_written(action.possible_effects)
     checked = (part for part in conditions.conjuncts(action.end_condition) if not base(names(part)) & changed)
     denied = (part for part in checked if conditions.evaluate(part, knowledge) is not True)
     return (*missing, *denied, *conditions.unmet(action.expected, knowledge))
+
+
+def stated(fluent: Fluent, value: Value) -> conditions.Condition:
+    """Return the condition that a fluent has a value."""
+    fact = conditions.Holds(fluent) if isinstance(value, bool) else conditions.Compare("=", ValueOf(fluent), Constant(value))
+    return conditions.Not(fact) if value is False else fact
+
+
+def contradicted(
+    outcome: Intention, intended: Intention, knowledge: EvaluationContext, *, by_news: bool = False
+) -> tuple[conditions.Condition, ...]:
+    """Return what is known to be otherwise than after this one of the declared outcomes; `by_news`: what has become so."""
+    found: list[conditions.Condition] = []
+    for fluent, value in {**intended.before, **outcome.expected}.items():
+        now = knowledge.world.value(fluent)
+        if value is UNKNOWN or now is UNKNOWN or same_value(now, value) or (by_news and same_value(now, intended.before[fluent])):
+            continue
+        found.append(stated(fluent, value))
+    return tuple(found)
+
+
+def possible(intended: Intention, knowledge: EvaluationContext) -> tuple[Intention, ...]:
+    """Return the declared outcomes that what is known agrees with: what is unknown agrees with all."""
+    return tuple(one for one in intended.outcomes if not contradicted(one, intended, knowledge))
+
+
+def may_turn_out(intended: Intention, knowledge: EvaluationContext) -> bool:
+    """Return whether reports that may still be on their way can tell another one of several declared outcomes."""
+    return sum(not contradicted(one, intended, knowledge, by_news=True) for one in intended.outcomes) > 1
 
 
 def denied_at_end(
@@ -203,15 +247,10 @@ def may_be_late(part: conditions.Condition, action: GroundAction, knowledge: Eva
     """
     if conditions.evaluate(part, knowledge) is UNKNOWN:
         return True
-    changed = written((*action.end_effects, *(() if has_held else action.start_effects)), knowledge)
+    changed = written((*action.possible_effects, *(() if has_held else action.start_effects)), knowledge)
     asked, rules = fluents(part, knowledge), knowledge.world.rules
     below = rules.base({fluent[0] for fluent in asked} & rules.derived)
     return any(fluent in asked or fluent[0] in below for fluent in changed)
-
-
-def lag_of_effects(wanted: Mapping[Fluent, Value], action: GroundAction, knowledge: EvaluationContext) -> float:
-    """Return the seconds by which reports about the effects and the end condition may be late."""
-    return knowledge.world.lag({*(fluent[0] for fluent in wanted), *names(action.end_condition), *names(action.expected)})
 
 
 # --- closed calls ---
@@ -275,7 +314,7 @@ def reads_of_guard(guard: Guard, action: GroundAction | None, rules: Rules) -> R
             return None
         case KnowledgeRead.EFFECTS:
             checked = read_by(conditions.All((action.end_condition, action.expected)), rules)
-            fluents = [one.fluent for one in every_effect((*action.start_effects, *action.end_effects)) if isinstance(one, Set)]
+            fluents = [one.fluent for one in every_effect((*action.start_effects, *action.possible_effects)) if isinstance(one, Set)]
             return None if checked is None else checked.union(*(reads_of(fluent, NO_RULES) for fluent in fluents))
         case _ as unread:
             assert_never(unread)
@@ -287,11 +326,11 @@ def closed_call(call: ActionCall) -> ClosedCall | None:
     if not is_closed(action):
         return None
     start, end, effects = constants(action.start_effects), constants(action.end_effects), None
-    if start is not None and end is not None and action.expected == conditions.TRUE:
+    if start is not None and end is not None and action.expected == conditions.TRUE and not action.outcomes:
         changed, lasting = start | end, {fluent: value for fluent, value in start.items() if fluent in call.lasting}
         visible = {fluent: value for fluent, value in (lasting | end).items() if isinstance(value, bool | str)}
         done = () if any(map(is_number, changed.values())) else tuple(changed.items())
         effects = ConstantEffects(Intention(start, end, action.end_effects), visible, done)
     expects, needed = not (action.end_condition == action.expected == conditions.TRUE), (action.invariant, action.end_condition)
     checked = None if (condition := conditions.conjunction(needed)) == conditions.TRUE else compiled(condition)
-    return ClosedCall(own_values(action), names_written((*action.start_effects, *action.end_effects)), expects, checked, effects)
+    return ClosedCall(own_values(action), names_written((*action.start_effects, *action.possible_effects)), expects, checked, effects)

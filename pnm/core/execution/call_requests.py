@@ -10,7 +10,7 @@ from dataclasses import replace
 from typing import Any, Final, TypeAlias
 from uuid import UUID
 
-from pnm.core.execution.call_data import GoalFields, Intention, finished, goal, ready, sending, variables_of
+from pnm.core.execution.call_data import GoalFields, Intention, finished, goal, possible, ready, sending, variables_of
 from pnm.core.execution.call_results import CallResult
 from pnm.core.execution.events import Cancel, Command, Performed, Reattach, Send, Store
 from pnm.core.execution.handover import CallAttempt, UnderWay
@@ -156,14 +156,20 @@ class Calls(KeptState):
     def shows_nothing(self, call: int) -> bool:
         """Return whether nothing of the call's effects can be seen, whatever is so."""
         attempt, closed = self.attempts[call], self._closed[call]
-        return closed is not None and not (closed.expects or attempt.denied or attempt.intended.expected)
+        intended = attempt.intended
+        return closed is not None and not (closed.expects or attempt.denied or intended.expected or intended.outcomes)
 
     def is_assumed(self, call: int) -> bool:
         """Return whether nothing reports some of what the call changes."""
         if (closed := self._closed[call]) is not None:
             return not self.world.senses(closed.names)
         action = self.action(call)
-        return not self.world.senses(names_written((*action.start_effects, *action.end_effects)))
+        return not self.world.senses(names_written((*action.start_effects, *action.possible_effects)))
+
+    def declared(self, call: int) -> str:
+        """Return which of its declared outcomes the call has had, as far as is known; empty if its action has only one."""
+        intended = self.attempts[call].intended
+        return " or ".join(one.name for one in possible(intended, self.context_of(call, None))) if intended.outcomes else intended.name
 
     def explain_unseen(self, call: int, context: EvaluationContext) -> tuple[str, str]:
         """Return the effects of the call that are not observed, and the observations instead, as texts."""
@@ -179,11 +185,12 @@ class Calls(KeptState):
         Raises:
             Unanswered: a question has to be asked before the transition fires.
         """
+        planned, attempt = context.action, self.attempts.get(call)
         match action:
-            case TransitionAction.SEND if not all(map(is_fixed, (*context.action.start_effects, *context.action.end_effects))):
+            case TransitionAction.SEND if not all(map(is_fixed, (*planned.start_effects, *planned.possible_effects))):
                 sending(self._plan.calls[call], context)
-            case TransitionAction.FINISH if not all(map(is_fixed, (intended := self.attempts[call].intended).end_effects)):
-                finished(self.action(call), intended, context)
+            case TransitionAction.FINISH if attempt and not all(map(is_fixed, attempt.action.possible_effects)):
+                finished(attempt.action, attempt.intended, context)
             case _:
                 pass
 
@@ -289,8 +296,8 @@ class Calls(KeptState):
         closed, attempt = self._closed[call], self.attempts[call]
         has_all = closed is not None and (closed.needed is None or closed.needed.holds_by_facts(self.world))
         # now, before anything is written of its effects: they may change what it relies on
-        if not has_all:
-            attempt.end(self.context_of(call, None), now)
+        if not has_all or attempt.intended.outcomes:
+            attempt.end(self.context_of(call, None), now, outcome)
         return bool(values)
 
     def _next(self, call: int) -> tuple[int, UUID]:

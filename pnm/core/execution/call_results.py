@@ -67,6 +67,8 @@ class CallResult(NamedTuple):
     """It succeeded, but some of its effects are assumed: nothing reports them."""
     cause: Cause | None = None
     """Why it failed or was passed over."""
+    declared: str = ""
+    """Which of its declared outcomes it has had, if its action has several."""
 
     @property
     def is_done(self) -> bool:
@@ -80,8 +82,10 @@ class CallResult(NamedTuple):
 
     @property
     def outcome(self) -> str:
-        """The outcome in words: the cause of a failure stands for it."""
+        """The outcome in words: the cause of a failure, or the declared outcome of a success, stands for it."""
         match self.kind:
+            case CallOutcome.SUCCEEDED if self.declared:
+                return self.declared
             case CallOutcome.FAILED:
                 return str(self.cause)
             case CallOutcome.PASSED_OVER:
@@ -183,6 +187,7 @@ class Became:
     ended: float | None = None
     assumed: bool = False
     cause: Cause | None = None
+    declared: str = ""
     arguments: tuple[str, ...] | None = None
     """Those that it was sent with last; None if they are those of the plan."""
 
@@ -194,7 +199,7 @@ class Became:
     def of(self, plan: PlanGraph) -> CallResult:
         """Return the result of the call of a plan."""
         call = sent_with(plan.calls[self.call], self.arguments)
-        return CallResult(call, self.kind, self.attempts, self.started, self.ended, self.assumed, self.cause)
+        return CallResult(call, self.kind, self.attempts, self.started, self.ended, self.assumed, self.cause, self.declared)
 
 
 class CallResults(KeptState):
@@ -267,13 +272,21 @@ class CallResults(KeptState):
         """Keep how a request of the call has ended."""
         self._answers[call] = outcome
 
-    def turned(self, outcome: CallOutcome, call: int, now: float, assumed: bool) -> None:
-        """Record an outcome of a call, so far or for good; `assumed`: whether some of its effects are reported by nothing."""
+    def turned(self, outcome: CallOutcome, call: int, now: float, assumed: bool = False, declared: str = "") -> None:
+        """Record an outcome of a call, so far or for good.
+
+        Args:
+            outcome: the outcome.
+            call: its number.
+            now: when it came about.
+            assumed: whether some of its effects are reported by nothing.
+            declared: which of its declared outcomes it has had, if its action has several.
+        """
         before = self._current.get(call)
         if before is None:
             before = self._current[call] = CallResult(self._calls[call])
         if outcome is _RUNNING:
-            sent, _, attempts, started, ended, was_assumed, cause = before
+            sent, _, attempts, started, ended, was_assumed, cause, _ = before
             started = now if started is None else started
             self._current[call] = CallResult(sent, outcome, attempts + 1, started, ended, was_assumed, cause)
         elif outcome is _WAITING:
@@ -290,7 +303,7 @@ class CallResults(KeptState):
         elif outcome is _SKIPPED and before.kind is _SUSPENDED:
             self._current[call] = before._replace(kind=CallOutcome.CANCELED, ended=now)
         elif outcome is not _CANCELED or before.kind is not CallOutcome.FAILED:  # how its request ended changes nothing then
-            self._current[call] = CallResult(before.call, outcome, before.attempts, before.started, now, assumed)
+            self._current[call] = CallResult(before.call, outcome, before.attempts, before.started, now, assumed, None, declared)
 
     def hindered(self, rule: Rule, call: int, check: Explanation | None, unseen: tuple[str, str] | None) -> Explanation | None:
         """Record, and return, the cause of a recovery or failure of a call that the firing of a transition tells.

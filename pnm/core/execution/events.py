@@ -205,6 +205,9 @@ class Observer:
     def ended(self, call: ActionCall, outcome: Outcome, now: float) -> None:
         """Note that a request is over."""
 
+    def turned_out(self, call: ActionCall, outcome: str, now: float) -> None:
+        """Note which of its declared outcomes a call has had: that is no failure."""
+
     def progressed(self, call: ActionCall, feedback: str, now: float) -> None:
         """Note new feedback of the server of a running call."""
 

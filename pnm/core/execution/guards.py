@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator, Mapping
 from typing import Final, assert_never
 from uuid import UUID
 
-from pnm.core.execution.call_data import already_true, lag_of_effects, ready
+from pnm.core.execution.call_data import already_true, ready
 from pnm.core.execution.call_requests import Calls
 from pnm.core.execution.call_results import Explanation
 from pnm.core.execution.machine_index import Firing, Site
@@ -88,13 +88,14 @@ class Guards(KeptState):
 
     def _effects_seen(self, site: Site, firing: Firing, place: int) -> float:
         call = _call(site, firing)
-        return _now_if(self._calls.shows_nothing(call) or not self._calls.attempts[call].unseen(self.context(call, place)))
+        if self._calls.shows_nothing(call):
+            return -NEVER
+        return self._calls.attempts[call].seen(self.context(call, place), self.state.marked_at[place])
 
     def _effects_missing(self, site: Site, firing: Firing, place: int) -> float:
         # As above: an effect counts as missing only when reports about it can no longer be on their way.
         attempt, context = self._calls.attempts[_call(site, firing)], self.context(_call(site, firing), place)
-        lag = lag_of_effects(attempt.intended.expected, attempt.action, context)
-        return self._after(site, firing, place, bool(attempt.unseen(context)), lag)
+        return self._after(site, firing, place, bool(attempt.unseen(context)), attempt.lag(context))
 
     def _due(self, site: Site, firing: Firing, place: int) -> float:
         state, guard = self.state, self.state.index.guard(site, firing)

@@ -7,18 +7,18 @@ or invented by that (`RunView.check_successor`). Both are checked before anythin
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from math import inf, nextafter
 from uuid import UUID
 
-from pnm.core.execution.call_data import Intention, denied_at_end, may_be_late, unseen
+from pnm.core.execution.call_data import Intention, contradicted, denied_at_end, may_be_late, may_turn_out, unseen
 from pnm.core.execution.call_results import CallResult
 from pnm.core.execution.questions import EvaluationContext
 from pnm.core.knowledge_base import KnowledgeBase
-from pnm.core.logic.conditions import Condition, conjuncts, evaluate, ground, names, observed, unmet
+from pnm.core.logic.conditions import Any, Condition, conjunction, conjuncts, evaluate, ground, names, observed, unmet
 from pnm.core.logic.effects import Changes, undo, values_before
 from pnm.core.machine.plan_graph import ActionCall, GroundAction
-from pnm.core.machine.requests import Request
+from pnm.core.machine.requests import Outcome, Request
 
 
 @dataclass(slots=True)
@@ -58,7 +58,8 @@ class CallAttempt:
 
     def finish(self, end: Changes, world: KnowledgeBase) -> Changes:
         """Note that the call has succeeded; return the effects of its end."""
-        self.ended, self.begun = end, values_before(end, world) | (self.begun or {})
+        known = {fluent: value for one in self.intended.outcomes for fluent, value in one.end.items()}  # unlike what may be one of several
+        self.ended, self.begun = end, values_before({**end, **known}, world) | (self.begun or {})
         return end
 
     def undo(self, world: KnowledgeBase) -> Changes:
@@ -88,8 +89,14 @@ class CallAttempt:
             opens = min(opens, max(since + lag, nextafter(since, inf)))
         return opens
 
-    def end(self, context: EvaluationContext, now: float) -> None:
-        """Note which conditions over all and at the end were not so, now that the request has succeeded."""
+    def end(self, context: EvaluationContext, now: float, outcome: Outcome) -> None:
+        """Note which conditions over all and at the end were not so, now that the request has succeeded, and what it may have come to."""
+        told = [
+            one
+            for one in self.intended.outcomes
+            if (one.name == outcome.declared if outcome.declared else one.name not in context.binding.outcomes)
+        ]
+        self.intended = told[0] if len(told) == 1 else replace(self.intended, outcomes=tuple(told)) if told else self.intended
         is_watched = self.accepted is not None and self.accepted < now  # then the guard has seen all that broke before
 
         def breaks_now(part: Condition) -> bool:
@@ -104,7 +111,20 @@ class CallAttempt:
 
     def unseen(self, context: EvaluationContext) -> tuple[Condition, ...]:
         """Return which of its effects are not seen, and which conditions until its end were not so."""
-        return tuple(dict.fromkeys((*(self.denied or ()), *unseen(self.intended.expected, self.action, context))))
+        others = [contradicted(one, self.intended, context) for one in self.intended.outcomes]
+        unfit = (Any(tuple(map(conjunction, others))),) if others and all(others) else ()
+        return tuple(dict.fromkeys((*(self.denied or ()), *unfit, *unseen(self.intended.expected, self.action, context))))
+
+    def seen(self, context: EvaluationContext, since: float) -> float:
+        """Return from when its effects count as seen, having been looked for since then; which of several it has had may be told late."""
+        if self.unseen(context):
+            return inf
+        return since + self.lag(context) if may_turn_out(self.intended, context) else -inf
+
+    def lag(self, context: EvaluationContext) -> float:
+        """Return the seconds by which reports about its effects and its end condition may be late."""
+        mentioned = {fluent[0] for fluent in (*self.intended.expected, *self.intended.before)}
+        return context.world.lag({*mentioned, *names(self.action.end_condition), *names(self.action.expected)})
 
 
 @dataclass(frozen=True, slots=True)

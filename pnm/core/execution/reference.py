@@ -206,7 +206,7 @@ class ReferenceRun:
                 if values := call_data.variables_of(report.outcome, self.machine.plan.calls[call], context.binding):
                     self.knowledge.local.store(values)
                     self.has_change = True
-                attempt.end(context, self.now)
+                attempt.end(context, self.now, report.outcome)
         for transition in self._opened_by(call, kind)[:1]:
             self._fire(transition, None)
 
@@ -347,11 +347,10 @@ class ReferenceRun:
                 is_withheld = bool(self.claims.resources.withheld_from(self._claim(call, action, place).names))
                 return self._after(transition, is_withheld and not self.pause, seconds)
             case guards.EffectsSeen(call):
-                is_open = not self.attempts[call].unseen(context)
+                return self.attempts[call].seen(context, self.marked_at[place])  # which of several outcomes it was may be reported late
             case guards.EffectsMissing(call):
                 attempt = self.attempts[call]
-                lag = call_data.lag_of_effects(attempt.intended.expected, attempt.action, context)
-                return self._after(transition, bool(attempt.unseen(context)), lag)
+                return self._after(transition, bool(attempt.unseen(context)), attempt.lag(context))
             case guards.Adopted(call):
                 is_open = call in self.adopted
             case guards.Accepts() | guards.Ends():

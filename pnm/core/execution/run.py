@@ -240,7 +240,7 @@ class Run(RunView):
         else:
             if (call := firing.call if site.call is None else site.call) is not None:
                 if (outcome := firing.outcome) is not None:
-                    self._results.turned(outcome, call, now, outcome is _SUCCEEDED and self._calls.is_assumed(call))
+                    self._turn(outcome, call, now)
                 if (action := firing.action) is not None:
                     self._perform(action, call, place, now)
             # a counted place of the block itself keeps a transition from being a move; behind a port it is another matter for each block
@@ -274,7 +274,7 @@ class Run(RunView):
             self._claims.take(step, self._guards.claim(site, firing, place))
         if call is not None:
             if (outcome := firing.outcome) is not None:
-                self._results.turned(outcome, call, state.now, outcome is _SUCCEEDED and self._calls.is_assumed(call))
+                self._turn(outcome, call, state.now)
             if firing.tells:
                 self._tell(rule, call, place, None if firing.fails else check)
             if firing.guarded is InvariantFalse:
@@ -309,6 +309,16 @@ class Run(RunView):
         self._leave_and_mark(taken, given, site.all_at(firing.decided), marked_at)
         if begins_to_end:  # everything that waits has an exit for that, which has just opened
             self._agenda.ask_undecided()
+
+    def _turn(self, outcome: CallOutcome, call: int, now: float) -> None:
+        """Note an outcome of a call, and tell which of its declared ones it is, if its action has several."""
+        if outcome is not _SUCCEEDED:
+            self._results.turned(outcome, call, now)
+            return
+        declared = self._calls.declared(call)
+        self._results.turned(outcome, call, now, self._calls.is_assumed(call), declared)
+        if declared:
+            self.observer.turned_out(self._calls.as_sent(call), declared, now)
 
     def _leave_and_mark(self, taken: NumberedArcs, given: NumberedArcs, decided: list[int], marked_at: float) -> None:
         """Wait for nothing more at the places that tokens have left; put those that they have reached on the agenda."""

@@ -113,7 +113,12 @@ class Binding:
     def judged(self, outcome: Outcome) -> Outcome:
         """Return the outcome as the result has it: a success that it denies is an abort, a failure has its reason and may be final."""
         look, kind, message, seen = partial(value_in, outcome.result), outcome.kind, outcome.message, ""
-        if kind in (OutcomeKind.SUCCEEDED, OutcomeKind.ABORTED) and self.success is not None:
+        has_ended = kind in (OutcomeKind.SUCCEEDED, OutcomeKind.ABORTED)
+        for name, test in self.outcomes.items() if has_ended else ():
+            with suppress(Unreadable):  # a result that says nothing of it leaves it to what is reported
+                if succeeds(test, look):
+                    return replace(outcome, kind=OutcomeKind.SUCCEEDED, declared=name)
+        if has_ended and self.success is not None:
             try:
                 if not succeeds(self.success, look):
                     kind, values = OutcomeKind.ABORTED, [f"{where} = {shown(look(where))}" for where in fields_in(self.success)]

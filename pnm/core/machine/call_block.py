@@ -115,7 +115,7 @@ class CallTerms(Terms[ActionCall]):
         asked = [recovery.when for recovery in recoveries if Cause.AFTER in recovery.causes]
         if asked and any(argument.startswith("?") for argument in action.arguments):
             return True
-        asked += [effect.condition for effect in every_effect(action.end_effects) if isinstance(effect, When)]
+        asked += [effect.condition for effect in every_effect(action.possible_effects) if isinstance(effect, When)]
         asked += [part for part in (action.end_condition, action.expected) if part is not TRUE]
         return any(may_ask(data) for part in asked for data in data_in(part))
 

@@ -69,6 +69,11 @@ class GroundAction:
     outcome: str = ""
     """The name of the one that the plan expects, whose effects are the end effects."""
 
+    @property
+    def possible_effects(self) -> Effects:
+        """All effects that its end may have: those of every outcome."""
+        return tuple([effect for way in self.outcomes for effect in way.effects]) if self.outcomes else self.end_effects
+
     def __str__(self) -> str:
         return f"{self.name}({', '.join(self.arguments)})"
 
@@ -453,7 +458,7 @@ class PlanGraph:
         for call in self.calls:
             action = call.action
             read = names(action.precondition) | names(action.invariant) | names(action.end_condition)
-            for name in self.rules.base(read) | names_written((*action.start_effects, *action.end_effects)):
+            for name in self.rules.base(read) | names_written((*action.start_effects, *action.possible_effects)):
                 used.setdefault(name, set()).add(call.index)
         for name in self.rules.base(names(self.goal)):
             used.setdefault(name, set()).add(len(self.calls))

@@ -79,6 +79,8 @@ class Outcome:
     kind: OutcomeKind
     result: Mapping[str, object] = field(default_factory=dict)
     message: str = ""
+    declared: str = ""
+    """The name of the declared outcome of its action that the result tells; empty if it tells none."""
 
 
 NOT_REATTACHED: Final = Outcome(OutcomeKind.LOST, message="its server cannot be asked for the result")

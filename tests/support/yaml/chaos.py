@@ -113,7 +113,9 @@ class Chaos:
         kind = random.choice([OutcomeKind.SUCCEEDED, OutcomeKind.SUCCEEDED, OutcomeKind.SUCCEEDED, *OutcomeKind])
         result = random.choice([{}, {"seen": 1}, {"v": random.randint(0, 2)}, {"w": "text"}])
         accepted: list[Event] = [Accepted(request.id)] if random.random() < 0.8 else []
-        ended: list[Event] = [Ended(request.id, Outcome(kind, result if kind is OutcomeKind.SUCCEEDED else {}))]
+        declared = random.choice(["", *(way.name for way in request.action.outcomes)]) if request.action.outcomes else ""
+        outcome = Outcome(kind, result, declared=declared) if kind is OutcomeKind.SUCCEEDED else Outcome(kind)
+        ended: list[Event] = [Ended(request.id, outcome)]
         hangs = random.random() < 0.1
         return accepted + ([] if hangs else ended) + (ended if random.random() < 0.1 else [])
 

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from copy import copy
 from dataclasses import fields, replace
 from math import inf
 from random import Random
 
 from pnm.core.logic.computed_values import Layer, Literal, Operation, Query
 from pnm.core.logic.conditions import TRUE, Computed, Condition, Holds, Not
-from pnm.core.logic.effects import Effect
+from pnm.core.logic.effects import Alternative, Effect
 from pnm.core.machine.bindings import Binding, Bindings, WhenLost
 from pnm.core.machine.blocks import MachineBlocks
 from pnm.core.machine.failure_causes import Cause
@@ -29,6 +30,7 @@ from pnm.core.machine.plan_graph import (
     Step,
     Then,
 )
+from pnm.core.message_fields import Combined
 from pnm.core.net.net import PetriNet
 
 ASKED = Computed(Operation("eq", (Query(Literal('"code"'), Layer.PERSON), Literal("1"))))
@@ -95,7 +97,8 @@ def random_bindings(random: Random) -> Bindings:
     def binding() -> Binding:
         limits = {"accept": random.choice([2.0, 2.0, 2.0, 3.0]), "cancel": random.choice([1.0, 1.0, 1.0, 2.0])}
         lost = random.choice([WhenLost.REPLAN, WhenLost.REPLAN, WhenLost.REPLAN, WhenLost.ABORT])
-        return Binding(retries=random.choice([0, 1, 1, 3]), when_lost=lost, **limits)
+        retries = random.choice([0, 1, 1, 3])
+        return Binding(retries=retries, when_lost=lost, outcomes={"1": Combined("any")} if retries == 3 else {}, **limits)
 
     return Bindings({f"a{index}": binding() for index in range(10)}, lag=0.0)
 
@@ -123,6 +126,10 @@ def _call(random: Random, index: int, effects: tuple[Effect, ...]) -> ActionCall
         end_effects=end,
     )
     is_short = bool(effects) and random.random() < 0.5
+    beside = copy(random)  # so that machines without several outcomes are drawn as if there were none
+    if beside.random() < 0.2:
+        ways = [tuple(effect for effect in effects if beside.random() < 0.3) for _ in range(beside.choice([1, 2]))]
+        action = replace(action, outcomes=tuple([Alternative(way, name=str(number)) for number, way in enumerate((end, *ways), 1)]))
     return ActionCall(
         index,
         action,
