@@ -15,7 +15,7 @@ from planner_bridge.cli.options import planner_words, print_warnings, waiting
 from planner_bridge.model.plan import Plan, PlanningResult
 from planner_bridge.node.node_log import NodeObserver, standing_words
 from planner_bridge.pipeline.roll_outs import VettedPlan
-from planner_bridge.tasks.replanning import BetterRest, PlanAgain, ResumePlan, decision_words
+from planner_bridge.tasks.replanning import BetterRest, Foreseen, PlanAgain, ResumePlan, decision_words
 from planner_bridge.tasks.result import TaskResult, Violation
 from planner_bridge.tasks.settings import TaskObserver
 from planner_bridge.tasks.task import passed_limit
@@ -194,6 +194,10 @@ class ConsoleObserver(TaskObserver):
         else:
             self._wait_for_more(call, _News(now, "[red]ended[/] ", call.action, outcome.kind.value, outcome.message))
 
+    def turned_out(self, call: ActionCall, outcome: str, now: float) -> None:
+        """Print which of its outcomes a call has had."""
+        self._print(now, "[green]found[/] ", f"{call.action}: {outcome}")
+
     def failed(self, failure: Failure, now: float) -> None:
         """Print that a failure place is marked."""
         step = failure.call
@@ -235,9 +239,10 @@ class ConsoleObserver(TaskObserver):
         """Print that a planner takes over."""
         self._console.print_reason("[bold yellow]replan[/]  ", reason)
 
-    def replanning(self, decision: ResumePlan | PlanAgain | BetterRest, result: RunResult) -> None:
+    def replanning(self, decision: ResumePlan | PlanAgain | Foreseen, result: RunResult) -> None:
         """Print why there is to be another plan."""
-        label = "[bold green]better[/]  " if isinstance(decision, BetterRest) else "[bold yellow]replan[/]  "
+        foreseen = "[bold green]better[/]  " if isinstance(decision, BetterRest) else "[bold]next[/]     "
+        label = foreseen if isinstance(decision, Foreseen) else "[bold yellow]replan[/]  "
         self._console.print_reason(label, decision_words(decision))
 
     def violated(self, violation: Violation, now: float) -> None:

@@ -207,7 +207,7 @@ def _because(run: RunHistory, ordering: Ordering) -> str:
     if not (isinstance(before, ActionCall) and isinstance(after, ActionCall) and ordering.protects):
         return ""
     action = before.action
-    made = written((*action.start_effects, *action.end_effects), run.state)
+    made = written((*action.start_effects, *action.possible_effects), run.state)
     needed = fluents(All((after.action.precondition, after.action.invariant, after.action.end_condition)), run.state)
     links = [fluent for fluent in ordering.protects if fluent in made and fluent in needed]
     if links:

@@ -67,6 +67,12 @@ def calls_of(problem: Problem, plan: Plan, first: int = 0) -> list[ActionCall]:
     return calls
 
 
+def stretch(problem: Problem, plan: Plan) -> Plan:
+    """Return the plan up to its first step with several outcomes, with that: what follows depends on how it turns out."""
+    calls = calls_of(problem, plan) if problem.domain.uncertain else ()
+    return next((Plan(plan.steps[: call.index + 1], plan.temporal) for call in calls if call.action.outcomes), plan)
+
+
 def happenings(problem: Problem, plan: Plan, first: int = 0) -> list[Happening]:
     """Return the happenings of a plan in the order of time, its calls numbered from `first`.
 
@@ -212,6 +218,8 @@ def projected_state(state: KnowledgeBase, runs: Iterable[RunView], beside: Itera
         NotProjectable: one of them cannot end.
     """
     runs = tuple(runs)
+    for call in (call for run in runs for call in (*run.settling, *run.open_calls.values()) if call.action.outcomes):
+        raise NotProjectable(f"{call.action} may turn out in several ways")
     simulation, numbers, unknown = Progression(snapshot(present_state(state, (*runs, *beside)))), count(), set[Fluent]()
     for run in runs:
         for call in run.settling:

@@ -106,7 +106,7 @@ class CausalLinks:
             event: relevant_of(written(action.start_effects, knowledge)) for event, action in zip(starts, self.actions, strict=True)
         }
         self.writes |= {
-            event: relevant_of(written(action.end_effects, knowledge)) for event, action in zip(ends, self.actions, strict=True)
+            event: relevant_of(written(action.possible_effects, knowledge)) for event, action in zip(ends, self.actions, strict=True)
         }
         # Facts that stay as they are may be evaluated away, so that a derived fact orders less.
         if knowledge.rules.rules:  # what they read is known only as far as neither the plan nor time may change it
@@ -114,9 +114,9 @@ class CausalLinks:
             knowledge.update(dict.fromkeys(changing, UNKNOWN))
         self.reads = {}
         for start, end, action in zip(starts, ends, self.actions, strict=True):
-            early = read_early(action.end_effects, knowledge)
+            early = read_early(action.possible_effects, knowledge)
             self.reads[start] = relevant_of(fluents(action.precondition, knowledge) | read(action.start_effects, knowledge) | early)
-            self.reads[end] = relevant_of(fluents(action.end_condition, knowledge) | read(action.end_effects, knowledge))
+            self.reads[end] = relevant_of(fluents(action.end_condition, knowledge) | read(action.possible_effects, knowledge))
             # what an action without duration needs must be there as long as the robot takes for it
             parts = conjuncts(action.precondition if action.duration is None else action.invariant)
             self.throughout.append(tuple([(part, relevant_of(fluents(part, knowledge))) for part in parts]))
@@ -184,7 +184,8 @@ class CausalLinks:
         # A write comes after the last write and after every read of that value since: else it would break a causal link.
         action = self.actions[releases.call]
         effects = action.start_effects if releases.moment is Moment.START else action.end_effects
-        fixed, others = tuple(filter(is_fixed, effects)), written(tuple(one for one in effects if not is_fixed(one)), self.knowledge)
+        fixed = () if action.outcomes else tuple(filter(is_fixed, effects))
+        others = written(tuple(one for one in effects if not is_fixed(one)), self.knowledge)
         certain = {fluent: value for fluent, value in changes(fixed, self.knowledge).items() if fluent not in others}
         for fluent in (*sorted(writes), *(kept.token for kept in concerned)):
             value, same = certain.get(fluent), self.same.get(fluent)

@@ -77,7 +77,7 @@ def read_write_sets(calls: Iterable[ActionCall], goal: Condition, knowledge: Kno
     conditions, derived = [goal], knowledge.rules.derived
     for call in calls:
         action = call.action
-        effects: Effects = action.end_effects
+        effects: Effects = action.possible_effects
         conditions += [action.invariant, action.end_condition]
         # A call that has begun has checked its precondition and made its start effects: only its end is still to come.
         if not call.under_way:

@@ -18,7 +18,7 @@ from planner_bridge.model.progression import Happening, calls_of, happenings
 from planner_bridge.ordering.causal_links import CausalLinks, OrderKept, delay_enclosing_starts
 from planner_bridge.ordering.partial_order import NEAR, PartialOrder, Writers
 from pnm.core.knowledge_base import KnowledgeBase, statement_text
-from pnm.core.logic.conditions import Condition, evaluate, fluents, names
+from pnm.core.logic.conditions import TRUE, Condition, evaluate, fluents, names
 from pnm.core.logic.effects import Effects, Set, TimedChange, When, changes, decided, every_effect
 from pnm.core.logic.expressions import UNKNOWN, Fluent, Unknown, Value, expression_fluents, same_value
 from pnm.core.logic.trajectory import instances, names_in
@@ -267,6 +267,12 @@ def plan_graph(problem: Problem, plan: Plan, under_way: Sequence[ActionCall] = (
     begun = [Happening(_BEGUN, (), tuple(links.starts[: len(running)])), Happening(_OVER, (), tuple(links.ends[: len(running)]))]
     _add(links, [*begun, *happenings(problem, plan, len(running))])
     return _checked(problem, calls, links, projected=True)
+
+
+def stretch_graph(problem: Problem, plan: Plan, under_way: Sequence[ActionCall] = ()) -> PlanGraph:
+    """Return the same for a plan that ends with an action of several outcomes: what comes after it is decided when it has ended."""
+    is_last = not any(call.action.outcomes for call in calls_of(problem, plan))
+    return plan_graph(problem if is_last else replace(problem, goal=TRUE), plan, under_way)
 
 
 @no_collection()

@@ -52,7 +52,7 @@ def steps_of(calls: Iterable[ActionCall]) -> tuple[PlanStep, ...]:
 
 def can_be_improved(problem: Problem, planner: str) -> bool:
     """Return whether better rests can be looked for: plans are sequences of calls of which only the end matters, and Kairos finds them."""
-    return planner == DEFAULT_PLANNER and can_have_parts(problem)
+    return planner == DEFAULT_PLANNER and can_have_parts(problem) and not problem.domain.uncertain
 
 
 def improvement(

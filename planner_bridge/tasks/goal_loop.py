@@ -12,7 +12,7 @@ from uuid import uuid5
 
 from planner_bridge.model.plan import Plan
 from planner_bridge.model.progression import NotProjectable, snapshot
-from planner_bridge.ordering.plan_to_graph import plan_graph
+from planner_bridge.ordering.plan_to_graph import plan_graph, stretch_graph
 from planner_bridge.tasks.constraint_monitor import TaskMonitor
 from planner_bridge.tasks.context import Conflict, TaskContext
 from planner_bridge.tasks.control import TaskEnded
@@ -23,12 +23,14 @@ from planner_bridge.tasks.replanning import (
     Decision,
     GiveUp,
     History,
+    NextStretch,
     PlanAgain,
     Progress,
     ResumePlan,
     decide,
     decision_words,
     needless,
+    next_stretch,
     shortened,
     times_that_matter,
 )
@@ -45,7 +47,7 @@ from planner_bridge.tasks.result import (
 from planner_bridge.tasks.settings import ProvedMachine
 from pnm.core.execution.call_results import RunResult
 from pnm.core.execution.handover import UnderWay
-from pnm.core.logic.conditions import evaluate
+from pnm.core.logic.conditions import TRUE, evaluate
 from pnm.core.logic.expressions import fluent_text
 from pnm.core.machine.machine import OnFailure, PetriNetMachine
 from pnm.core.machine.plan_graph import PlanGraph, PlanGraphError
@@ -251,6 +253,7 @@ class GoalLoop:
             if execution.is_over and not isinstance(decision, BetterRest):
                 self._follow(execution.run.machine, execution.result, decision, history)
                 return await self._follower(execution, decision)
+            assert not isinstance(decision, NextStretch), "a stretch has come to its end when another one follows"
             graph = await self._successor(execution, decision, history, under_way)
             if isinstance(graph, Outstanding):
                 return graph
@@ -347,9 +350,12 @@ class GoalLoop:
         """Decide what follows the run. A failure makes nothing needless, but facts that have changed may."""
         context, progress, now, world = self._context, execution.progress, self._monitor.now(), snapshot(self._context.present)
         has_failed, limits, unusable = execution.is_over or execution.result.failures, context.settings.limits, context.unusable(history)
-        set_off_by, better = execution.set_off_by, self._search.better_than(progress)
+        set_off_by, better, policy = execution.set_off_by, self._search.better_than(progress), self._search.policy
+        is_stretch = execution.is_over and execution.result.goal and progress.plan.goal == TRUE != now.goal
 
         def decision() -> tuple[Decision, History]:
+            if is_stretch:
+                return next_stretch(now, progress, world, replace(history, replans=self._log.history.replans), limits, unusable, policy)
             left = progress if has_failed else shortened(progress, world)
             decided, known = decide(now, left, world, history, limits, unusable)
             if has_failed or isinstance(decided, GiveUp):
@@ -361,9 +367,11 @@ class GoalLoop:
 
         return await self._control.in_thread(decision)
 
-    async def _follower(self, execution: PlanExecution, decision: ResumePlan | PlanAgain) -> PlanGraph:
+    async def _follower(self, execution: PlanExecution, decision: ResumePlan | PlanAgain | NextStretch) -> PlanGraph:
         if isinstance(decision, ResumePlan) and not execution.is_blocked:
             return decision.rest
+        if isinstance(decision, NextStretch) and (rest := decision.rest) is not None:
+            return await self._search.in_turn(partial(self._search.rest, rest))
         if self._given is None:
 
             def search() -> Awaitable[Plan | None]:  # what is forbidden is looked at anew: a value that a call lacked may be known by then
@@ -374,6 +382,7 @@ class GoalLoop:
             return await self._accepted(plan)
         if isinstance(decision, PlanAgain):
             raise TaskEnded(Code.CONDITION_LOST, decision.why)
+        assert isinstance(decision, ResumePlan), "a plan that is given has no stretches"
         return await self._search.in_turn(partial(self._search.rest, decision.rest))
 
     async def _successor(
@@ -443,8 +452,9 @@ class GoalLoop:
         self._context.observer.planned(plan)
 
     async def _graph(self, plan: Plan, under_way: tuple[UnderWay, ...] = ()) -> PlanGraph:
+        now, made = self._monitor.now(), stretch_graph if self._given is None else plan_graph
         with self._context.task.stopwatch.of("translate"):
-            return await self._control.until(asyncio.to_thread(plan_graph, self._monitor.now(), plan, [one.call for one in under_way]))
+            return await self._control.until(asyncio.to_thread(made, now, plan, [one.call for one in under_way]))
 
     def _result(self, ended: TaskEnded) -> TaskResult:
         self._context.scheduler.release(self._context.task)

@@ -333,7 +333,7 @@ def unforeseen(progress: Progress, changed: Mapping[Fluent, Value | Unknown], st
     mentioned = {fluent[0] for fluent in changed}
     begun = (result.call.action for result in progress.calls if result.kind is not CallOutcome.WAITING)
     written: dict[Fluent, list[Value | None]] = {}
-    for effects in ((*action.start_effects, *action.end_effects) for action in begun):
+    for effects in ((*action.start_effects, *action.possible_effects) for action in begun):
         for fluent, effect, _ in possible_assignments(effects, state) if names_written(effects) & mentioned else ():
             written.setdefault(fluent, []).append(effect.value.value if isinstance(effect.value, Constant) else None)
     is_made = {fluent: value in written.get(fluent, ()) or None in written.get(fluent, ()) for fluent, value in changed.items()}

@@ -14,9 +14,9 @@ from uuid import UUID
 
 from planner_bridge.model.forbidden_actions import ANY, ForbiddenCall, calls_served_by, forbid
 from planner_bridge.model.grounding import initial_knowledge
-from planner_bridge.model.plan import CancelToken, Plan, PlanningResult, PlanningStatus
+from planner_bridge.model.plan import CancelToken, Plan, PlanningResult, PlanningStatus, Policy
 from planner_bridge.model.problem import Problem
-from planner_bridge.model.progression import NotProjectable, calls_of, projected_state
+from planner_bridge.model.progression import NotProjectable, calls_of, projected_state, stretch
 from planner_bridge.ordering.interference import (
     Forecast,
     ReadWriteSets,
@@ -115,8 +115,8 @@ class _EitherToken:
 class PlanSearch:
     """Searches for plans of one task.
 
-    The mutable state is when the last search began, whether one has found a plan, and whether it is proved to be the best; a search that
-    is ahead; the search for a better rest, and what it has found.
+    The mutable state is when the last search began, whether one has found a plan, its policy, and whether it is proved to be the best; a
+    search that is ahead; the search for a better rest, and what it has found.
     """
 
     def __init__(self, context: TaskContext, monitor: TaskMonitor) -> None:
@@ -125,6 +125,8 @@ class PlanSearch:
         self._monitor = monitor
         self.origin = 0.0
         """The time from which the times of the plan count."""
+        self.policy: Policy | None = None
+        """What the last plan is the beginning of, if actions have several outcomes."""
         self._has_found = False
         self._ahead: _SearchAhead | None = None
         self._is_best = False
@@ -333,7 +335,7 @@ class PlanSearch:
         if result.plan is None:
             context.observer.unplanned(result)
         else:
-            self._has_found, self._is_best = True, result.plan.is_best
+            self._has_found, self._is_best, self.policy = True, result.plan.is_best, result.policy
             needed = _needed(now, result.plan, going_on)
             conflicts = context.scheduler.conflicts(context.task, needed)
             if weighs and any(not conflict.yields for conflict in conflicts):
@@ -472,7 +474,8 @@ class PlanSearch:
         told = partial(solve, problem, bindings=settings.bindings, learned=settings.learned)
 
         def search(limit: float) -> PlanningResult:
-            return told(planner=planner, timeout=limit, improve=improve, cancel=stop, executor=executor)
+            found = told(planner=planner, timeout=limit, improve=improve, cancel=stop, executor=executor)
+            return found if found.plan is None else replace(found, plan=stretch(problem, found.plan))
 
         return partial(settings.memory.plan, problem, timeout, search)
 

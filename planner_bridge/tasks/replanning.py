@@ -12,12 +12,13 @@ from types import MappingProxyType
 from typing import Final
 
 from planner_bridge.model.forbidden_actions import ANY, ForbiddenCall
+from planner_bridge.model.plan import Policy
 from planner_bridge.model.problem import Problem
 from planner_bridge.model.progression import ConstraintProgression, NotApplicable, Progression, snapshot
-from planner_bridge.ordering.plan_to_graph import deordered
+from planner_bridge.ordering.plan_to_graph import deordered, stretch_graph
 from pnm.core.execution.call_results import CallResult, Failure
 from pnm.core.knowledge_base import KnowledgeBase, statement_text
-from pnm.core.logic.conditions import conjuncts, evaluate, explanation
+from pnm.core.logic.conditions import TRUE, conjuncts, evaluate, explanation
 from pnm.core.logic.effects import changes
 from pnm.core.logic.expressions import is_number, same_value
 from pnm.core.logic.trajectory import Constraint
@@ -49,10 +50,13 @@ class Limits:
     longest_backoff: float = 30.0
     patience: float = 0.0
     """Seconds for which a task without a plan waits for facts to change: a closed door opens again. Its own time goes on."""
+    stretches: int = 10_000
+    """New nets after declared outcomes, which are no replans: by then what is declared does not come about, or leads round in circles."""
 
     def __post_init__(self) -> None:
         """Refuse what is no limit."""
-        check_counts("limits", replans=self.replans, without_progress=self.without_progress, forbid_after=self.forbid_after)
+        counts = {"replans": self.replans, "without_progress": self.without_progress, "stretches": self.stretches}
+        check_counts("limits", forbid_after=self.forbid_after, **counts)
         check_seconds("a task", self.seconds)
         check_seconds("a new plan", self.backoff, self.longest_backoff, self.patience)
 
@@ -101,6 +105,7 @@ class History:
     fruitless: int = 0
     """Runs in a row in which no call succeeded."""
     reached: Reached = Reached()
+    stretches: int = 0
 
     @staticmethod
     def of_plan(given_up: Iterable[GroundAction], unconfirmed: Iterable[GroundAction], limits: Limits) -> History:
@@ -145,6 +150,7 @@ class History:
             self.replans + 1,
             0 if succeeded else self.fruitless + 1,
             self.reached,
+            self.stretches,
         )
 
     def given_up(self, limits: Limits) -> GiveUp | None:
@@ -152,6 +158,8 @@ class History:
         if self.lost:
             names = ", ".join(sorted(map(str, self.lost)))
             return GiveUp(f"nobody knows how {names} has ended, and its binding says 'when_lost: abort'", Code.SERVER_UNAVAILABLE)
+        if self.stretches > limits.stretches:
+            return GiveUp(f"{limits.stretches} declared outcomes have not led to the goal")
         if self.replans > limits.replans:
             return GiveUp(f"the limit of {limits.replans} replans is reached")
         in_vain, nothing = counted(limits.without_progress, "replan"), "nothing new is known, and no fewer calls are left"
@@ -215,6 +223,16 @@ class BetterRest:
 
 
 @dataclass(frozen=True, slots=True)
+class NextStretch:
+    """Go on from what a call with several declared outcomes has come to: no failure."""
+
+    outcome: str
+    """The calls and their outcomes, in words."""
+    rest: PlanGraph | None = None
+    """The calls that the policy has for it; None if a planner is asked."""
+
+
+@dataclass(frozen=True, slots=True)
 class GiveUp:
     """A limit is reached, or only people can decide how to go on."""
 
@@ -222,7 +240,9 @@ class GiveUp:
     code: Code = Code.REPLAN_LIMIT
 
 
-Decision = ResumePlan | PlanAgain | BetterRest | GiveUp
+Foreseen = BetterRest | NextStretch
+"""New machines that are no replans."""
+Decision = ResumePlan | PlanAgain | Foreseen | GiveUp
 
 
 def decision_words(decision: Decision | None) -> str:
@@ -237,6 +257,9 @@ def decision_words(decision: Decision | None) -> str:
             return f"a new plan is needed: {'; '.join(filter(None, (why, because, never)))}"
         case BetterRest(why):
             return f"a better rest of the plan was found at work: {why}"
+        case NextStretch(outcome, rest):
+            goes_on = "a plan is searched for from here" if rest is None else f"going on with {counted(len(rest.calls), 'call')}"
+            return f"{outcome}: {goes_on}"
         case GiveUp(reason):
             return f"given up: {reason}"
         case None:
@@ -322,6 +345,27 @@ def decide(
     return history.given_up(limits) or follows, history
 
 
+def next_stretch(
+    now: Problem,
+    progress: Progress,
+    knowledge: KnowledgeBase,
+    history: History,
+    limits: Limits,
+    unusable: Mapping[ForbiddenCall, str],
+    policy: Policy | None,
+) -> tuple[NextStretch | GiveUp, History]:
+    """Decide what follows a stretch that has come to its end, with all calls done; see `decide`."""
+    history = replace(history, stretches=history.stretches + 1)
+    if given_up := history.given_up(limits):
+        return given_up, history
+    turned_out = [f"{result.call.action}: {result.declared}" for result in progress.calls if result.declared]
+    plan = policy.stretch(knowledge) if policy else None
+    rest = stretch_graph(now, plan) if plan else None
+    if rest and why_not(Progress.beginning(rest), knowledge, history.forbidden(limits) | unusable.keys()):
+        rest = None  # what failed too often, or cannot be carried out now, is not part of any policy
+    return NextStretch(", ".join(turned_out) or "all calls are done", rest), history
+
+
 def times_that_matter(now: Problem) -> str:
     """Return why only a planner can judge a delay; empty when times do not matter."""
     if now.timed:
@@ -336,7 +380,7 @@ def rest_of(now: Problem, progress: Progress) -> PlanGraph:
     renumbered = tuple(replace(call, index=number[call.index], under_way=call.index in progress.under_way) for call in progress.rest)
     begun = [PlanEvent(number[index], Moment.START) for index in sorted(progress.under_way)]
     order = [*begun, *(PlanEvent(number[event.call], event.moment) for event in progress.events)]
-    return deordered(now, renumbered, order)
+    return deordered(replace(now, goal=progress.plan.goal), renumbered, order)
 
 
 def barred(progress: Progress, forbidden: Iterable[ForbiddenCall]) -> GroundAction | None:
@@ -392,9 +436,10 @@ def needless(before: Progress, after: Progress, knowledge: KnowledgeBase) -> str
 def shortened(progress: Progress, knowledge: KnowledgeBase) -> Progress:
     """Return the plan without those calls that are needless from here: the rest leads to its goal all the same.
 
-    A rest of more than `MAX_SHORTENED` calls is left as it is: the work grows with the square of their number, and the event loop waits.
+    Those of a stretch are for what comes after it. A rest of more than `MAX_SHORTENED` calls is left as it is: the work grows with the
+    square of their number, and the event loop waits.
     """
-    for call in progress.rest if len(progress.rest) <= MAX_SHORTENED else ():
+    for call in progress.rest if len(progress.rest) <= MAX_SHORTENED and progress.plan.goal != TRUE else ():
         if call.index not in progress.under_way and not why_not(shorter := progress.without(call.index), knowledge):
             progress = shorter
     return progress

@@ -13,7 +13,7 @@ from typing import Any, ClassVar, Final, Literal, TypeAlias, TypeVar
 from planner_bridge.model import forbidden_actions
 from planner_bridge.model.plan import PlanningStatus
 from planner_bridge.tasks import replanning
-from planner_bridge.tasks.replanning import BetterRest, Decision, GiveUp, History, PlanAgain, ResumePlan
+from planner_bridge.tasks.replanning import BetterRest, Decision, Foreseen, GiveUp, History, NextStretch, PlanAgain, ResumePlan
 from pnm.core.execution.call_results import CallResult, Failure, RunResult
 from pnm.core.logic import trajectory
 from pnm.core.logic.trajectory import Constraint, ConstraintProgress
@@ -143,8 +143,8 @@ class TaskResult:
 
     @property
     def replans(self) -> int:
-        """The number of new machines after the first; those with a better rest do not count."""
-        return sum(not isinstance(episode.decision, BetterRest) for episode in self.episodes[:-1])
+        """The number of new machines after the first; those that were foreseen do not count."""
+        return sum(not isinstance(episode.decision, Foreseen) for episode in self.episodes[:-1])
 
     @property
     def counts(self) -> TaskCounts:
@@ -234,6 +234,8 @@ def _decision_as_json(decision: Decision) -> dict[str, Any]:
             return {"decision": "plan again", "why": why, "forbidden": never, **({"because": because} if because else {})}
         case BetterRest(why):
             return {"decision": "better rest", "why": why}
+        case NextStretch(outcome, rest):
+            return {"decision": "next stretch", "outcome": outcome, "calls": [str(call.action) for call in rest.calls] if rest else None}
         case GiveUp(reason):
             return {"decision": "give up", "why": reason}
 

@@ -11,7 +11,7 @@ from planner_bridge.model.plan import Plan, PlanningResult
 from planner_bridge.model.problem import Problem
 from planner_bridge.model.rates import NO_RATES, Rates
 from planner_bridge.planning.kairos import DEFAULT_PLANNER
-from planner_bridge.tasks.replanning import BetterRest, Limits, PlanAgain, ResumePlan
+from planner_bridge.tasks.replanning import Foreseen, Limits, PlanAgain, ResumePlan
 from planner_bridge.tasks.result import Violation
 from pnm.core.execution.call_results import RunResult
 from pnm.core.execution.events import Observer
@@ -57,8 +57,8 @@ class TaskObserver(Observer):
     def resigned(self, reason: str) -> None:
         """Note that a hand-written plan has failed, and wants a planner to find another way."""
 
-    def replanning(self, decision: ResumePlan | PlanAgain | BetterRest, result: RunResult) -> None:
-        """Note that a run failed and what follows."""
+    def replanning(self, decision: ResumePlan | PlanAgain | Foreseen, result: RunResult) -> None:
+        """Note that another machine takes over, and why."""
 
     def entered(self, state: TaskState, why: str) -> None:
         """Note that the task is in another state, and why."""

@@ -12,7 +12,7 @@ from uuid import UUID
 
 from planner_bridge.model.plan import Plan, PlanningResult
 from planner_bridge.tasks.control import STILL, TaskControl, Watchdog
-from planner_bridge.tasks.replanning import BetterRest, PlanAgain, ResumePlan, decision_words
+from planner_bridge.tasks.replanning import Foreseen, PlanAgain, ResumePlan, decision_words
 from planner_bridge.tasks.result import GoalNote, Stopwatch, TaskResult, notes_of
 from planner_bridge.tasks.settings import TaskObserver
 from pnm.core.execution.call_results import CallResult, Failure, RunResult
@@ -89,8 +89,8 @@ class Task(TaskObserver):
     restarts: int = 0
     plans: int = 0
     nets: int = 0
-    improved: int = 0
-    """The number of nets with a better rest of a plan."""
+    foreseen: int = 0
+    """The number of nets that are no replans: with a better rest of a plan, or after a declared outcome."""
     ending: TaskEnding | None = None
     result: TaskResult | None = None
     error: Exception | None = None
@@ -113,8 +113,8 @@ class Task(TaskObserver):
 
     @property
     def replans(self) -> int:
-        """The number of nets after the first; those with a better rest do not count."""
-        return max(0, self.nets - 1 - self.improved)
+        """The number of nets after the first; those that were foreseen do not count."""
+        return max(0, self.nets - 1 - self.foreseen)
 
     @property
     def rank(self) -> tuple[int, int]:
@@ -234,7 +234,7 @@ class Task(TaskObserver):
         self.nets = begun - self.wanted.is_plan if kept.ending is None else kept.ending.replans + 1  # a plan is said again to be there
         notes = notes_of(kept, GoalNote)
         decided = [note.decision for note in notes if note.decision]
-        self.improved = sum(isinstance(decision, BetterRest) for decision in decided) if kept.ending is None else 0
+        self.foreseen = sum(isinstance(decision, Foreseen) for decision in decided) if kept.ending is None else 0
         self.replanned = f"replanned in another process: {decision_words(decided[-1])}" if decided else ""
         self.plans = max((note.plans for note in notes), default=0)
         results = [replayed.result or replayed.run.interim_result() for replayed in kept.runs]
@@ -282,12 +282,12 @@ class Task(TaskObserver):
         self.note(TraceKind.REPLANNED, "", f"a planner looks for another way: {reason}", logging.WARNING)
         self.listener.changed(self.id)
 
-    def replanning(self, decision: ResumePlan | PlanAgain | BetterRest, result: RunResult) -> None:
+    def replanning(self, decision: ResumePlan | PlanAgain | Foreseen, result: RunResult) -> None:
         """Note that the plan is to be replaced."""
-        words, is_better = decision_words(decision), isinstance(decision, BetterRest)
-        self.improved += is_better
+        words, is_foreseen = decision_words(decision), isinstance(decision, Foreseen)
+        self.foreseen += is_foreseen
         self.replanned = f"replanned {self.clock() - self.came_in:.2f} s after it came in: {words}"
-        self.note(TraceKind.REPLANNED, "", words, logging.INFO if is_better else logging.WARNING)
+        self.note(TraceKind.REPLANNED, "", words, logging.INFO if is_foreseen else logging.WARNING)
         self.listener.changed(self.id)
 
     def sent(self, call: ActionCall, request: Request, now: float) -> None:

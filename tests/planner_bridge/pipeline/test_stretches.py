@@ -1,0 +1,94 @@
+"""Plans of actions that may turn out in several ways: one machine up to each of these, and what follows goes by how it turned out."""
+
+from __future__ import annotations
+
+from random import Random
+
+from planner_bridge.model.problem import Problem
+from planner_bridge.pddl import parse_domain, parse_problem
+from planner_bridge.tasks.replanning import GiveUp, Limits, NextStretch
+from pnm.actions.faults import Fault, Faults
+from pnm.core.machine.bindings import Bindings
+from pnm.core.machine.plan_graph import GroundAction
+from pnm.tasks import Code
+from tests.support.tasks.replanning import aborts, decisions, pursued
+
+CUPS = """
+(define (domain cups) (:requirements :strips :typing :non-deterministic) (:types cup room)
+  (:predicates (held ?c - cup) (floor ?c - cup) (broken ?c - cup) (table ?c - cup) (at ?r - room) (swept))
+  (:action pick :parameters (?c - cup) :precondition (and (table ?c) (at kitchen))
+    :effect (oneof (and (held ?c) (not (table ?c))) (and (floor ?c) (not (table ?c))) (and)))
+  (:action lift :parameters (?c - cup) :precondition (and (floor ?c) (at kitchen)) :effect (and (table ?c) (not (floor ?c))))
+  (:action sweep :parameters () :effect (swept))
+  (:action go :parameters (?from ?to - room) :precondition (at ?from) :effect (and (at ?to) (not (at ?from)))))
+"""
+HELD, FLOOR, NOTHING = "1", "2", "3"
+
+
+def cups(goal: str = "(held mug)", domain: str = CUPS) -> Problem:
+    kitchen = domain.replace("(:predicates", "(:constants kitchen - room) (:predicates")
+    text = f"(define (problem p) (:domain cups) (:objects mug - cup hall - room) (:init (table mug) (at hall)) (:goal {goal}))"
+    return parse_problem(text, parse_domain(kitchen))
+
+
+def drawn(*names: str) -> Faults:
+    """The outcomes of the next calls that have several; then always the first."""
+    left = [*names]
+
+    def draw(action: GroundAction, _: Random) -> Fault | None:
+        return Fault(action.name, outcome=left.pop(0) if left else HELD) if action.outcomes else None
+
+    return Faults(drawn=draw)
+
+
+def outcomes(result: object) -> list[str]:
+    return [f"{call.call.action.name}: {call.outcome}" for call in result.calls]  # type: ignore[attr-defined]
+
+
+def test_what_follows_goes_by_the_outcome_and_nothing_has_failed() -> None:
+    result, _ = pursued(cups(), drawn(FLOOR, NOTHING), limits=Limits(replans=0))
+    assert result.goal_reached
+    assert outcomes(result) == ["go: succeeded", "pick: 2", "lift: succeeded", "pick: 3", "pick: 1"]
+    assert (result.replans, result.failures, decisions(result)) == (0, (), [NextStretch, NextStretch])
+    assert [call.attempts for call in result.calls] == [1] * 5
+
+
+def test_an_outcome_however_often_it_comes_is_never_forbidden() -> None:
+    result, _ = pursued(cups(), drawn(*[NOTHING] * 20))
+    assert (result.goal_reached, result.replans, len(result.calls)) == (True, 0, 22)
+
+
+def test_what_never_comes_ends_with_a_reason() -> None:
+    result, _ = pursued(cups(), drawn(*[NOTHING] * 20), limits=Limits(stretches=5))
+    assert (result.code, decisions(result)[-1]) == (Code.REPLAN_LIMIT, GiveUp)
+    assert "5 declared outcomes have not led to the goal" in result.reason
+
+
+def test_a_real_failure_of_such_a_call_is_tried_again_and_then_planned_around() -> None:
+    result, _ = pursued(cups(), aborts("pick"))
+    assert not result.goal_reached
+    assert [call.attempts for call in result.calls if call.call.action.name == "pick"] == [2, 2]
+    assert "pick(mug), not to be tried again" in result.reason
+
+
+def test_calls_beside_are_carried_out_in_the_same_machine() -> None:
+    result, _ = pursued(cups("(and (held mug) (swept))"), drawn())
+    assert result.goal_reached
+    assert {call.call.action.name for call in result.calls} == {"go", "pick", "sweep"}
+
+
+def test_sensors_of_some_facts_tell_which_outcome_it_was() -> None:
+    result, _ = pursued(cups(), drawn(FLOOR), bindings=Bindings(assumed=frozenset({"held"})))
+    assert (result.goal_reached, outcomes(result)[1]) == (True, "pick: 2")
+
+
+def test_what_no_sensor_tells_is_unknown_and_never_a_success() -> None:
+    result, _ = pursued(cups(), drawn(FLOOR), bindings=Bindings(assumed=frozenset({"held", "floor", "table"})))
+    assert outcomes(result) == ["go: succeeded", "pick: 1 or 2 or 3"]
+    assert not result.goal_reached
+    assert "(held mug) is unknown" in result.reason
+
+
+def test_a_goal_that_an_outcome_reaches_in_passing_ends_the_task() -> None:
+    result, _ = pursued(cups("(or (held mug) (floor mug))"), drawn(FLOOR))
+    assert (result.goal_reached, outcomes(result)) == (True, ["go: succeeded", "pick: 2"])
