@@ -9,6 +9,7 @@ from typing import Final
 
 from pnm.core.knowledge_base import parse_fluent
 from pnm.core.logic.domain import Vocabulary
+from pnm.core.logic.expressions import Fluent
 from pnm.core.machine.bindings import _NAME, DEFAULT, NO_BINDINGS, Binding, Bindings, Foreign, Table, WhenLost, placeholders
 from pnm.errors import InputError, Position
 from pnm.files.yaml_keys import ANYTHING, Keys, Schema, choice, each, flag, names, node, number, ref, section, text, texts, whole
@@ -56,7 +57,8 @@ class BindingKeys(Keys):
     ).named("outcomes")
     store = texts(
         "expected result fields and the variables to store them in",
-        "result fields, and the variables that keep them: `{time: travel_time}`",
+        "result fields, and the variables that keep them, or the facts and functions that they set: "
+        '`{time: travel_time, degrees: "(temperature ?room)"}`',
         "every field, by its own name",
     )
     seconds = number("seconds that the action is expected to take, where the domain gives no duration: plans are measured by it", None, "1")
@@ -128,14 +130,28 @@ def bindings_in(top: Mapped, known: Vocabulary | None = None, *, strangers: bool
                 _check_sources(keys.goal, name, known)
             for outcome, where, _ in keys.told.entries():
                 known.check_outcome(name, outcome, where)
+            for fluent, value in stored_fluents(keys.store, entry):
+                known.check_stored(name, fluent, value.position)
         for name in () if strangers else file.assumed:
             known.check_set(name, top.position("assumed"))
     return Bindings(actions, frozenset(file.assumed), file.lag)
 
 
+def stored_fluents(store: Mapping[str, str], entry: Mapped) -> Iterator[tuple[Fluent, Node]]:
+    """Yield the fluents that the fields of a result set by the key ``store`` of the mapping, and where they stand."""
+    for name, target in store.items():
+        if target.startswith("("):
+            _, value = entry.section("store").nodes[name]
+            try:
+                yield parse_fluent(target), value
+            except InputError as error:
+                raise value.wrong(error.message) from error
+
+
 def read_binding(keys: BindingKeys) -> Binding:
     """Read the binding of one action."""
-    entry, goal, success, reason, final = keys.entry, keys.goal, keys.success, keys.reason, keys.final
+    entry, goal, success, reason, final, store = keys.entry, keys.goal, keys.success, keys.reason, keys.final, keys.store
+    tuple(stored_fluents(store, entry))  # which refuses what stands in parentheses and is none
     if goal is not None and not goal.is_mapping:
         raise goal.wrong("expected goal fields and their values")
     server, action_type, type_key = keys.server, keys.ros_type, type(keys).ros_type.name
@@ -155,7 +171,7 @@ def read_binding(keys: BindingKeys) -> Binding:
         reason=None if reason is None else field_value(reason),
         final=None if final is None else field_test(final),
         outcomes={name: field_test(test) for name, _, test in keys.told.entries()},
-        store=keys.store,
+        store=store,
         seconds=keys.seconds,
         timeout=keys.timeout,
         accept=keys.accept,

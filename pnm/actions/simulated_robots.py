@@ -15,15 +15,15 @@ from typing import Final, assert_never
 from uuid import UUID
 
 from pnm.actions.faults import NO_FAULTS, Fault, FaultKind, Faults
-from pnm.core.knowledge_base import KnowledgeBase
+from pnm.core.knowledge_base import KnowledgeBase, parse_fluent
 from pnm.core.logic.computed_values import MISSING, Question, Uncomputable, compute
 from pnm.core.logic.conditions import TOLERANCE, TRUE, Condition, data_in, evaluate, unmet
 from pnm.core.logic.effects import Changes, TimedChange, changes, decided, undo, values_before
-from pnm.core.logic.expressions import Fluent, Unknown, Value, bind
-from pnm.core.machine.bindings import Binding, Bindings, Table, WhenLost
+from pnm.core.logic.expressions import UNKNOWN, Fluent, Unknown, Value, bind
+from pnm.core.machine.bindings import Binding, Bindings, Table, WhenLost, own_values
 from pnm.core.machine.plan_graph import GroundAction
 from pnm.core.machine.requests import Accepted, Ended, Outcome, OutcomeKind, Reporter, Request
-from pnm.core.message_fields import Combined, Comparison, Field, Flag, Test
+from pnm.core.message_fields import Combined, Comparison, Field, Flag, Test, parse_field
 from pnm.errors import InputError
 from pnm.files.yaml_nodes import parse_value
 
@@ -325,7 +325,8 @@ class SimulatedRobots:
             job.activity.undo()
         elif not (problem := job.activity.finish()):
             try:
-                result = returned(job.request, self.world) | ({"outcome": ended.outcome} if ended.outcomes else {})
+                result = returned(job.request, self.world, self.bindings.of(ended.name))
+                result |= {"outcome": ended.outcome} if ended.outcomes else {}
             except Uncomputable as error:
                 problem = f"the result of {job.request.action} cannot be computed: {error}"
         kind = OutcomeKind.ABORTED if problem else OutcomeKind.SUCCEEDED
@@ -414,10 +415,18 @@ class _Server:
         return MISSING
 
 
-def returned(request: Request, world: SimulatedWorld) -> dict[str, object]:
-    """Return the result of a simulated server, without fields that have no value; raises `Uncomputable` as `compute` does."""
+def returned(request: Request, world: SimulatedWorld, binding: Binding) -> dict[str, object]:
+    """Return the result of a simulated server, without fields that have no value; raises `Uncomputable` as `compute` does.
+
+    Fields that set fluents have what is true of these.
+    """
+    env, result = {f"?{name}": value for name, value in own_values(request.action).items()}, dict[str, object]()
+    for name, target in binding.store.items():
+        value = world.truth.value(bind(parse_fluent(target), env)) if target.startswith("(") else UNKNOWN
+        if value is not None and value is not UNKNOWN:
+            _put(result, parse_field(name), value)
     values = {name: compute(data, _Server(request.goal, world)) for name, data in request.action.returns}
-    return {name: value for name, value in values.items() if value is not MISSING}
+    return result | {name: value for name, value in values.items() if value is not MISSING}
 
 
 # --- bindings read backwards: the arguments that a goal means, and the result of an outcome ----

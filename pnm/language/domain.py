@@ -9,7 +9,7 @@ from functools import cached_property
 from math import isfinite
 from typing import Final, assert_never
 
-from pnm.actions.bindings_file import read_binding
+from pnm.actions.bindings_file import read_binding, stored_fluents
 from pnm.core.knowledge_base import parse_statement
 from pnm.core.logic.computed_values import Data, Query, parts
 from pnm.core.logic.conditions import TRUE, Condition, fluents, free_variables
@@ -148,6 +148,7 @@ def read_action(schema: ActionSchema, keys: Action, scope: FormulaScope) -> Lang
         kind = known[name]
     is_open = keys.params is None
     inner = replace(scope, variables=None if is_open else {}).inside(schema.parameters)
+    check_stored(keys.store, keys.entry, inner)
     returns: list[tuple[str, Data]] = []
     for name, _, value in keys.simulated.entries():
         data = read_data(value, inner)
@@ -164,6 +165,14 @@ def read_action(schema: ActionSchema, keys: Action, scope: FormulaScope) -> Lang
         returns=tuple(returns),
         recoveries=keys.recoveries,
     )
+
+
+def check_stored(store: Mapping[str, str], entry: Mapped, scope: FormulaScope) -> None:
+    """Refuse a fluent that a result cannot set by the key ``store``: of what is not there, or what follows from other facts."""
+    for fluent, node in stored_fluents(store, entry):
+        scope.check_fluent(fluent, node)
+        if fluent[0] in scope.declared.domain.rules.derived:
+            raise node.wrong(f"facts of {fluent[0]} follow from rules; no result sets them")
 
 
 def read_class(node: Node) -> tuple[str, str]:

@@ -318,7 +318,10 @@ class Call(Place, others=ANYTHING):
     retries = whole("further attempts, without a recovery", None)
     timeout = number("seconds from acceptance to cancellation", None)
     resources = names("exclusive resources, in addition to those of its action")
-    store = texts("expected result fields and the variables to store them in", "result fields, and the variables that keep them")
+    store = texts(
+        "expected result fields and the variables to store them in",
+        "result fields, and the variables that keep them, or the facts and functions that they set",
+    )
     end_after = written(_WAITS, "ids of the steps that the end of this call waits for")
     duration = number("seconds for the call, within the bounds of its action", None)
     outcome = text("of an action with several: the expected one. Any other is a failure", "the first")

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Collection, Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from math import inf
 from typing import Final, TypeAlias, assert_never
@@ -23,7 +23,7 @@ from pnm.core.machine.plan_graph import Choice, Loop, Moment, Step, Then, WaitUn
 from pnm.errors import InputError, Position, Tolerated
 from pnm.files.yaml_nodes import Mapped, Node
 from pnm.language import grammar
-from pnm.language.domain import OPERATION, LanguageAction
+from pnm.language.domain import OPERATION, LanguageAction, check_stored
 from pnm.language.formulas.readers import read_condition
 from pnm.language.formulas.scope import FormulaScope, known_names, shown, unknown
 from pnm.language.formulas.values import read_data, read_operation
@@ -238,6 +238,8 @@ class StepReader:
                 check_pattern(
                     pattern, options.entry.position("resources") if pattern in resources else entry.nodes[name][0], example, names
                 )
+        inner = replace(self.scope, variables=None if action.is_open else {}).inside(action.schema.parameters)
+        check_stored(options.store, options.entry, inner)
         return CallStep(
             _place(options),
             action,

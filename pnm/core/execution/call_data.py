@@ -12,10 +12,11 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
+from math import isfinite
 from typing import NamedTuple, TypeAlias, assert_never
 
 from pnm.core.execution.questions import EvaluationContext, unknown_values
-from pnm.core.knowledge_base import KnowledgeBase
+from pnm.core.knowledge_base import KnowledgeBase, parse_fluent
 from pnm.core.logic import conditions
 from pnm.core.logic.compiled import CompiledCondition, compiled
 from pnm.core.logic.computed_values import (
@@ -93,8 +94,28 @@ def variables_of(outcome: Outcome, call: ActionCall, binding: Binding) -> dict[s
     values = {name: value for name, value in outcome.result.items() if name not in store}
     for name, variable in store.items():
         with suppress(Unreadable):
-            values[variable] = value_in(outcome.result, parse_field(name))
+            if not variable.startswith("("):
+                values[variable] = value_in(outcome.result, parse_field(name))
     return values
+
+
+def facts_of(outcome: Outcome, call: ActionCall, action: GroundAction, binding: Binding, world: KnowledgeBase) -> Changes:
+    """Return the fluents that a result sets; unknown are those for which it has no value of their kind, or an object that is not there."""
+    found: Changes = {}
+    targets = {name: target for name, target in {**binding.store, **dict(call.store)}.items() if target.startswith("(")}
+    if targets and outcome.result:
+        env, objects = {f"?{name}": argument for name, argument in own_values(action).items()}, world.objects(("object",))
+        for name, target in targets.items():
+            with suppress(Unreadable):
+                value, fluent = value_in(outcome.result, parse_field(name)), bind(parse_fluent(target), env)
+                known, is_there = world.value(fluent), value in objects if objects and isinstance(value, str) else True
+                is_alike = isinstance(known, bool) is isinstance(value, bool) and is_number(known) is is_number(value)
+                match value:
+                    case bool() | int() | float() | str() if is_there and (is_alike or known is None or known is UNKNOWN):
+                        found[fluent] = value if not is_number(value) else float(value) if isfinite(value) else UNKNOWN
+                    case _:
+                        found[fluent] = UNKNOWN
+    return found
 
 
 # --- effects ---

@@ -49,6 +49,8 @@ class CallAttempt:
     """Since when parts of it have not held; and whether that may be for want of a report."""
     feedback: str = ""
     """The last feedback of its server."""
+    told: Changes = field(default_factory=dict)
+    """The fluents that its result sets."""
 
     def begin(self, world: KnowledgeBase, now: float) -> Changes:
         """Note that the request was accepted; return the effects of its start."""
@@ -57,7 +59,8 @@ class CallAttempt:
         return self.intended.start
 
     def finish(self, end: Changes, world: KnowledgeBase) -> Changes:
-        """Note that the call has succeeded; return the effects of its end."""
+        """Note that the call has succeeded; return the effects of its end, of which its result knows best."""
+        end = {**end, **self.told}
         known = {fluent: value for one in self.intended.outcomes for fluent, value in one.end.items()}  # unlike what may be one of several
         self.ended, self.begun = end, values_before({**end, **known}, world) | (self.begun or {})
         return end

@@ -206,6 +206,9 @@ class ReferenceRun:
                 if values := call_data.variables_of(report.outcome, self.machine.plan.calls[call], context.binding):
                     self.knowledge.local.store(values)
                     self.has_change = True
+                attempt.told = call_data.facts_of(
+                    report.outcome, self.machine.plan.calls[call], attempt.action, context.binding, self.knowledge.world
+                )
                 attempt.end(context, self.now, report.outcome)
         for transition in self._opened_by(call, kind)[:1]:
             self._fire(transition, None)

@@ -304,6 +304,21 @@ class Vocabulary:
             raise InputError(f"{action} can turn out in one way only, so there is no outcome {name!r}", position)
         _check(name, self.outcomes[action], "outcome", position)
 
+    def check_stored(self, action: str, fluent: Fluent, position: Position) -> None:
+        """Refuse a fluent that the result of an action cannot set: of undeclared names, or with other arguments than declared."""
+        self.check_set(fluent[0], position)
+        needed = self.signatures[fluent[0]].parameters
+        if len(fluent) - 1 != len(needed):
+            raise InputError(f"{fluent_text(fluent)} has {len(fluent) - 1} arguments; expected {len(needed)}", position)
+        for argument, types in zip(fluent[1:], needed, strict=True):
+            if not argument.startswith("?"):
+                self.check_object(argument, types, position)
+                continue
+            self.check_parameter(action, argument[1:], position)
+            own = self.actions[action][argument[1:]]
+            if not any(self.types[kind] & {*types} for kind in own) and not any(self.types[kind] & {*own} for kind in types):
+                raise InputError(f"{argument} is a {alternatives(own)}; expected a {alternatives(types)}", position)
+
     def arguments(self, action: str, parameter: str) -> tuple[str, ...]:
         """Return the objects that a parameter of an action may stand for, in the order of the alphabet."""
         return self._objects_of(self.actions[action][parameter])

@@ -84,7 +84,7 @@ class Binding:
     outcomes: Mapping[str, Test] = field(default_factory=dict)
     """Tests of the result that tell how the action has turned out, by the names of its outcomes; the first that succeeds counts."""
     store: Mapping[str, str] = field(default_factory=dict)
-    """Result fields and the variables they are stored in; every other field is stored by its own name."""
+    """Result fields and the variables they are stored in, or the fluents that they set; every other field is stored by its own name."""
     seconds: float | None = None
     """Seconds that the action is expected to take where the domain does not say so; None if nobody knows."""
     timeout: float | None = None

@@ -172,7 +172,7 @@ class ActionCall:
     retries: int | None = None
     """In place of the binding's."""
     store: tuple[tuple[str, str], ...] = ()
-    """Result fields and the variables they are stored in, where this differs from the binding."""
+    """Result fields and the variables they are stored in, or the fluents that they set, where this differs from the binding."""
     under_way: bool = False
     """Its request has been sent by another run, and was accepted; it is taken over as it is."""
 

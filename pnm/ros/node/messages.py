@@ -338,8 +338,12 @@ def fitted_binding(binding: Binding, action_type: Any, example: Example = lambda
     """
     for name, source in (binding.goal or {}).items():
         _check(source, find_field(action_type.Goal, parse_field(name)).kind, name, example)
-    for name in binding.store:
-        find_field(action_type.Result, parse_field(name))
+    for name, target in binding.store.items():
+        kind = find_field(action_type.Result, parse_field(name)).kind
+        if target.startswith("(") and (value := example(target)) is not MISSING:
+            needed = "a text" if isinstance(value, str) else "a boolean" if isinstance(value, bool) else "a number"
+            if not (kind == "boolean" if isinstance(value, bool) else (TEXT if isinstance(value, str) else NUMBER).fullmatch(kind)):
+                raise InputError(f"{name} is a {kind}; {target} needs {needed}")
     success = binding.success and fitted_test(binding.success, action_type.Result)
     reason = binding.reason and fitted_source(binding.reason, action_type.Result, ANY, "a value")
     final = binding.final and fitted_test(binding.final, action_type.Result)

@@ -10,7 +10,7 @@ from hypothesis import given, strategies as st
 from planner_bridge.pipeline.carry_out import carry_out
 from planner_bridge.tasks.result import PlanResult
 from pnm.actions.bindings_file import read_bindings
-from pnm.actions.faults import Fault, FaultKind, Faults
+from pnm.actions.faults import Fault, FaultKind, Faults, HiddenChange
 from pnm.actions.simulated_robots import arguments_of, result_of
 from pnm.core.knowledge_base import KnowledgeBase, Layered
 from pnm.core.machine.bindings import Binding, Table, goal_data
@@ -243,3 +243,37 @@ NOT_TOLD = "its result does not tell whether it succeeded: there is no execution
 def test_the_result_decides(binding: Binding, kind: OutcomeKind, status: object, said: str, judged: OutcomeKind, message: str) -> None:
     outcome = binding.judged(Outcome(kind, {} if status is None else {"execution_result": {"status": status}}, said))
     assert (outcome.kind, outcome.message) == (judged, message)
+
+
+MEASURE = """
+types: tank
+functions: ["(temperature ?t - tank)"]
+problem: {objects: t1 t2 - tank}
+actions:
+  measure:
+    params: "?t - tank"
+    simulated: {degrees: SHOWN}
+    store: {degrees: "(temperature ?t)"}
+goal: {Comparison: [">", ["(temperature t1)", 20]]}
+plan:
+  - measure: {t: t1}
+"""
+
+
+@pytest.mark.parametrize(("shown", "is_reached"), [("21.5", True), ("21", True), ("19", False), ("true", False), ("hot", False)])
+def test_a_result_sets_a_fluent(tmp_path: Path, shown: str, is_reached: bool) -> None:
+    result = carry_out_text(tmp_path, MEASURE.replace("SHOWN", shown))
+    assert result.goal_reached is is_reached
+    assert result.variables == {}
+
+
+def test_a_step_says_which_fluent_its_result_sets(tmp_path: Path) -> None:
+    other = MEASURE.replace("SHOWN", "21").replace("- measure: {t: t1}", "- {measure: {t: t2}, store: {degrees: (temperature t1)}}")
+    assert carry_out_text(tmp_path, other).goal_reached
+
+
+def test_simulated_robots_measure_what_is_true(tmp_path: Path) -> None:
+    text = MEASURE.replace("    simulated: {degrees: SHOWN}\n", "").replace("goal:", 'facts: ["(= (temperature t1) 25)"]\ngoal:')
+    hidden = Faults(changes=(HiddenChange({("temperature", "t1"): 15.0}, 0.5),))
+    assert carry_out_text(tmp_path, text).goal_reached
+    assert not carry_out_text(tmp_path, text, hidden).goal_reached

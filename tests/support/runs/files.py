@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from pnm.core.logic.domain import Vocabulary
+from pnm.core.logic.domain import FluentKind, Signature, Vocabulary
 from pnm.core.machine.plan_graph import GroundAction
 from pnm.errors import InputError
 
@@ -22,9 +22,12 @@ def error(read: Callable[[Path], object], path: Path) -> str:
 
 MOVE = GroundAction("move", ("r1", "hall", "lab"), ("robot", "from", "to"), duration=12.0)
 WORDS = Vocabulary(
-    {"move": dict.fromkeys(MOVE.parameters, ()), "wait": {}},
-    frozenset({"at", "battery", "near"}),
+    {"move": {"robot": ("robot",), "from": ("place",), "to": ("room",)}, "wait": {}},
+    frozenset({"at", "battery", "near", "temperature"}),
     frozenset({"r1", "lab"}),
     derived=frozenset({"near"}),
+    signatures={"temperature": Signature(FluentKind.NUMBER, (("room",),))},
+    types={kind: frozenset({kind, "object"}) for kind in ("robot", "place")} | {"room": frozenset({"room", "place", "object"})},
+    types_of={"r1": frozenset({"robot", "object"}), "lab": frozenset({"room", "place", "object"})},
     outcomes={"move": ("there", "slipped")},
 )

@@ -16,7 +16,7 @@ from pnm.core.message_fields import Unreadable, parse_field
 from pnm.errors import InputError
 from pnm.knowledge.sensor_model import Instance, read
 from pnm.ros.node.messages import find_field, fitted, fitted_binding, import_type, to_message, value_at
-from tests.support.files import written
+from tests.support.files import input_error, written
 
 
 def test_fields_of_messages():
@@ -118,6 +118,22 @@ def test_what_can_never_work_is_refused(tmp_path: Path, text: str, message: str)
     with pytest.raises(InputError) as refusal:
         fitted_binding(binding(tmp_path, text), NestedMessage)
     assert message in str(refusal.value)
+
+
+@pytest.mark.parametrize(
+    ("field", "value", "message"),
+    [
+        ("int32_value", 1.0, ""),
+        ("bool_value", True, ""),
+        ("bool_value", 1.0, "nested_field.bool_value is a boolean; (level ?to) needs a number"),
+        ("float64_value", "object", "nested_field.float64_value is a double; (level ?to) needs a text"),
+        ("float32_value", True, "nested_field.float32_value is a float; (level ?to) needs a boolean"),
+    ],
+)
+def test_a_field_that_sets_a_fluent_has_values_of_its_kind(tmp_path: Path, field: str, value: object, message: str) -> None:
+    wanted = binding(tmp_path, f"{{store: {{nested_field.{field}: '(level ?to)'}}}}")
+    refusal = input_error(lambda: fitted_binding(wanted, NestedMessage, lambda source: value))
+    assert message == (refusal.message if refusal else "")
 
 
 def test_items_of_lists_are_looked_at(tmp_path: Path) -> None:
