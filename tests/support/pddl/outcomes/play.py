@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import time
+from collections.abc import Callable
 from math import sqrt
 from multiprocessing import get_context
 from multiprocessing.connection import Connection
@@ -11,16 +12,20 @@ from pathlib import Path
 from statistics import mean
 from typing import Any, Final, NamedTuple
 
+from planner_bridge.model.grounding import initial_knowledge
+from planner_bridge.model.plan import PlanningResult
 from planner_bridge.model.problem import Problem
 from planner_bridge.pddl import parse_domain, parse_problem
 from planner_bridge.pipeline.achieve import achieve_at
 from planner_bridge.pipeline.loading import load
-from planner_bridge.tasks.settings import Settings, TaskObserver
+from planner_bridge.planning.solve import solve
+from planner_bridge.tasks.settings import Memory, Settings
 from pnm.clock import run_async
+from pnm.core.logic.conditions import evaluate
 from tests.support.pddl.outcomes.optimum import optimum
 from tests.support.pddl.outcomes.problem import Chance
 from tests.support.pddl.outcomes.reading import determinized
-from tests.support.pddl.outcomes.world import ChanceWorld
+from tests.support.pddl.outcomes.world import IMPOSSIBLE, ChanceWorld
 
 HANGS: Final = "no end"
 """Why a trial has failed whose process said nothing for too long."""
@@ -35,15 +40,34 @@ class Way(NamedTuple):
     seconds: float
 
 
-class Asked(TaskObserver):
-    """Counts how often a planner is asked."""
+class Kept(Memory):
+    """Keeps what was found, for all trials of a problem. The mutable state is that, and the number of searches.
+
+    Attributes:
+        told: of the policy that was found first: the seconds that this took, its entries, whether it is proved.
+    """
 
     def __init__(self) -> None:
-        self.times = 0
+        self.searches = 0
+        self.policy: Any = None
+        self.told: dict[str, Any] = {}
+        self._found: dict[frozenset[object], list[tuple[Problem, PlanningResult]]] = {}
 
-    def planning(self, planner: str) -> None:
-        """Count."""
-        self.times += 1
+    def plan(self, problem: Problem, timeout: float, search: Callable[[float], PlanningResult]) -> PlanningResult:
+        """Return what was found for the same problem, or what the search finds."""
+        alike = self._found.setdefault(frozenset(problem.init.items()), [])
+        for other, known in alike:
+            if other == problem and other.unknown == problem.unknown:
+                return known
+        self.searches += 1
+        began = time.perf_counter()
+        result = search(timeout)
+        if (policy := getattr(result, "policy", None)) and not self.policy:
+            self.policy = policy
+            self.told = {"closed": time.perf_counter() - began, "size": len(policy.entries), "proved": policy.is_proved}
+        if result.plan:
+            alike.append((problem, result))
+        return result
 
 
 def problem_of(folder: Path, chance: Chance, way: Way) -> Problem:
@@ -53,21 +77,42 @@ def problem_of(folder: Path, chance: Chance, way: Way) -> Problem:
     return parse_problem((folder / "problem.pddl").read_text(encoding="utf-8"), parse_domain(determinized(chance.domain)))
 
 
-def trial(chance: Chance, problem: Problem, way: Way, seed: int) -> dict[str, Any]:
+def trial(chance: Chance, problem: Problem, way: Way, seed: int, kept: Kept) -> dict[str, Any]:
     """Pursue the goal once."""
-    world, asked, began = ChanceWorld(chance, problem, seed, way.limit), Asked(), time.perf_counter()
-    result = run_async(achieve_at(world, problem, Settings(), asked), virtual=True)
-    seconds = time.perf_counter() - began
+    world, searches, began = ChanceWorld(chance, problem, seed, way.limit), kept.searches, time.perf_counter()
+    if way.way == "policy":
+        why = alone(world, problem, way, kept)
+    else:
+        result = run_async(achieve_at(world, problem, Settings(memory=kept)), virtual=True)
+        why = "" if result.goal_reached else f"{result.code.word}: {result.reason}"[:300]
     return {
         "seed": seed,
-        "claimed": result.goal_reached,
+        "claimed": not why,
         "reached": world.has_reached,
         "actions": world.actions,
-        "asked": asked.times,
+        "asked": kept.searches - searches,
         "first": None if world.first is None else world.first - began,
-        "seconds": seconds,
-        "why": "" if result.goal_reached else f"{result.code.word}: {result.reason}"[:300],
+        "seconds": time.perf_counter() - began,
+        "why": why,
     }
+
+
+def alone(world: ChanceWorld, problem: Problem, way: Way, kept: Kept) -> str:
+    """Do what the policy says, without machine and executor; return why that does not lead to the goal."""
+    knowledge = initial_knowledge(problem)
+    world.report_to(knowledge)
+    result = kept.plan(problem, way.seconds, lambda timeout: solve(problem, timeout=timeout))
+    while evaluate(problem.goal, knowledge) is not True:
+        stretch = kept.policy.stretch(knowledge) if kept.policy else None
+        if stretch is None or world.is_over:
+            return "too many actions" if world.is_over else "the policy says nothing of the state" if kept.policy else result.reason
+        for step in stretch.steps:
+            world.first, world.actions = world.first or time.perf_counter(), world.actions + 1
+            if not world.perform(step.action, step.arguments):
+                return IMPOSSIBLE
+            if evaluate(problem.goal, knowledge) is True:
+                break
+    return ""
 
 
 def play(results: Connection, folder: Path, way: Way, seeds: list[int], has_optimum: bool) -> None:
@@ -77,10 +122,11 @@ def play(results: Connection, folder: Path, way: Way, seeds: list[int], has_opti
         best = optimum(chance)
         results.send({"optimum": None if best is None else {"chance": best.chance, "steps": best.steps, "states": len(best.best)}})
     began = time.perf_counter()
-    problem = problem_of(folder, chance, way)
+    problem, kept = problem_of(folder, chance, way), Kept()
     results.send({"read": time.perf_counter() - began})
     for seed in seeds:
-        results.send(trial(chance, problem, way, seed))
+        results.send(trial(chance, problem, way, seed, kept))
+        results.send(kept.told)
     results.close()
     os._exit(0)  # the planner's library complains of what is left at a proper end
 
@@ -132,6 +178,10 @@ def row(pair: dict[str, Any], found: dict[str, Any]) -> str:
         published(pair, "prp", "actions"),
         f"{mean(one['asked'] for one in trials):.1f}" if trials else "",
         f"{found['read'] + firsts[0]:.2f}" if firsts else "",
+        f"{found['closed']:.2f}" if "closed" in found else "",
+        published(pair, "prp", "runtime").removesuffix("0000"),
+        f"{found['size']}{'' if found['proved'] else '?'}" if "closed" in found else "",
+        published(pair, "prp", "size"),
         f"{1000 * spent / actions:.1f}" if actions else "",
         sum(one["claimed"] and not one["reached"] for one in trials),
         sum(one["why"] == HANGS for one in trials),
