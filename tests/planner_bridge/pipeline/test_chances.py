@@ -29,6 +29,16 @@ def test_the_best_in_published_problems_is_known(name):
     assert optimum(Chance.read(SHARED / "fond" / name)).chance == pytest.approx(KNOWN[name], abs=5e-4)
 
 
+def test_a_door_that_may_be_locked_is_not_tried_before_the_battery_is_full():
+    chance = Chance.read(CASES / "door")
+    best, state = optimum(chance).best, chance.initial
+    for name, arguments in (("drive", "dock lobby l4 l3"), ("drive", "lobby hall l3 l2"), ("try", "hall room l2 l1")):
+        ends = chance.successors(chance.action(name, arguments.split()), state)
+        _, state = ends[0]
+    assert [best[after] for _, after in ends] == [1.0, 0.0]
+    assert best[chance.initial] == 1.0
+
+
 def test_too_many_states_have_no_optimum():
     assert optimum(Chance.read(CASES / "door"), most=10) is None
 

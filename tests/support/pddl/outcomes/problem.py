@@ -7,6 +7,7 @@ for nothing. The alternatives of a `oneof` are equally likely, those that are th
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
+from fractions import Fraction
 from functools import cached_property, lru_cache
 from itertools import product
 from pathlib import Path
@@ -58,7 +59,7 @@ class Chance:
         self.schemas = {one[0]: dict(zip(one[1::2], one[2::2], strict=True)) for one in parts.get(":action", [])}
         effects = {head for schema in self.schemas.values() for head in heads(schema.get(":effect"))}
         self.changing = frozenset(effects & {one[0] for part in parts.get(":predicates", []) for one in part})
-        facts = frozenset(tuple(fact) for fact in parts[":init"][0] if fact[0] != "=")
+        facts = frozenset(tuple(fact) for fact in parts[":init"][0] if fact[0] not in ("=", "not"))
         self.initial = frozenset(fact for fact in facts if fact[0] in self.changing)
         self.static = facts - self.initial
         self.goal = parts[":goal"][0][0]
@@ -126,7 +127,7 @@ class Chance:
             case ["oneof", *parts]:
                 return _merged((each, 1.0 / len(parts)) for part in parts for each in self.outcomes(part, state, env))
             case ["probabilistic", *parts]:
-                chances = [float(chance) for chance in parts[::2]]
+                chances = [float(Fraction(chance)) for chance in parts[::2]]
                 pairs = [(1.0 - sum(chances), []), *zip(chances, parts[1::2], strict=True)]
                 return _merged((each, chance) for chance, part in pairs if chance > 1e-9 for each in self.outcomes(part, state, env))
             case ["not", part]:

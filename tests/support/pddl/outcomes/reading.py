@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Iterator, Mapping
+from fractions import Fraction
 from itertools import product
 from typing import Any, Final, TypeAlias
 
@@ -91,7 +92,7 @@ def _branches(node: Node) -> list[Node]:
         case ["when", condition, part]:
             return [["when", condition, branch] for branch in _branches(part)]
         case ["probabilistic", *parts]:
-            return _branches(["oneof", *parts[1::2], *([["and"]] if sum(map(float, parts[::2])) < 1.0 else [])])
+            return _branches(["oneof", *parts[1::2], *([["and"]] if sum(map(Fraction, parts[::2])) < 1 else [])])
         case ["oneof", *parts]:
             found = [branch for part in parts for branch in _branches(part)]
             return [branch for number, branch in enumerate(found) if branch not in found[:number]]
