@@ -191,24 +191,22 @@ class ReferenceRun:
 
     def _report(self, report: _Report) -> None:
         """Fire the transition that a report opens, if its request is alive."""
-        call, kind = self.alive.get(report.request), None
-        if call is None:
+        kind = report.outcome.kind if isinstance(report, requests.Ended) else None
+        if (call := self.alive.get(report.request)) is None:
             if isinstance(report, requests.Ended):  # of a request that was given up: now its resources are free
                 self.claims.resources.confirm(report.request)
                 self.queue += self.claims.served()
             return
         if isinstance(report, requests.Ended):
-            attempt, kind, context = self.attempts[call], report.outcome.kind, self._context(call, None)
+            attempt, planned, context = self.attempts[call], self.machine.plan.calls[call], self._context(call, None)
             if attempt.accepted is None and kind not in requests.BEFORE_ACCEPTANCE:
                 self._report(requests.Accepted(report.request))  # a client may leave out what goes without saying
             del self.alive[report.request]
             if kind is requests.OutcomeKind.SUCCEEDED:
-                if values := call_data.variables_of(report.outcome, self.machine.plan.calls[call], context.binding):
+                if values := call_data.variables_of(report.outcome, planned, context.binding):
                     self.knowledge.local.store(values)
                     self.has_change = True
-                attempt.told = call_data.facts_of(
-                    report.outcome, self.machine.plan.calls[call], attempt.action, context.binding, self.knowledge.world
-                )
+                attempt.told = call_data.facts_of(report.outcome, planned, attempt.action, context.binding, self.knowledge.world)
                 attempt.end(context, self.now, report.outcome)
         for transition in self._opened_by(call, kind)[:1]:
             self._fire(transition, None)
