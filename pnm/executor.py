@@ -220,8 +220,8 @@ class Executor:
             self.journal.confirmed(event.request, self.run.resources)
 
     def _enter(self) -> None:
-        def changed(_: Mapping[Fluent, Value | Unknown]) -> None:
-            if self.run.awaits_knowledge:  # whatever it decides later, it decides by what is known then
+        def changed(changes: Mapping[Fluent, Value | Unknown]) -> None:
+            if self.run.hears_of(changes):  # whatever it decides later, it decides by what is known then
                 self._put_once(events.KnowledgeChanged())
 
         knowledge, resources = self.run.knowledge, self.run.resources

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
 from heapq import heappop, heappush
 from itertools import compress, count
@@ -17,6 +17,7 @@ from pnm.core.execution.handover import UnderWay
 from pnm.core.execution.machine_index import MachineIndex
 from pnm.core.kept_state import KeptState
 from pnm.core.knowledge_base import Layered, Readers
+from pnm.core.logic.expressions import Fluent
 from pnm.core.logic.rules import Rules
 from pnm.core.machine.machine import OnFailure
 from pnm.core.net.block_net import Engine
@@ -97,10 +98,11 @@ class Agenda(KeptState):
         """Ask all undecided places again."""
         self.places.extend(self.undecided)
 
-    @property
-    def hears_of_facts(self) -> bool:
-        """Whether places are asked again when facts change."""
-        return len(self._readers) > 0
+    def hears_of(self, changed: Collection[Fluent]) -> bool:
+        """Return whether places are asked again when these facts change, or, if there are none, something else that is known."""
+        if not self._readers:
+            return False
+        return not changed or self._world.rules is not self._rules or bool(self._readers.concerned(changed))
 
     def ask_about_knowledge(self, now: float, *, of_all: bool = False) -> None:
         """Ask those places again, in their order, whose decision may be another one since they were asked last.

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter, deque
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from math import inf
 from typing import Any, Final
 from uuid import UUID
@@ -20,6 +20,7 @@ from pnm.core.execution.run_state import Agenda, RunState
 from pnm.core.kept_state import KeptState
 from pnm.core.knowledge_base import Layered
 from pnm.core.logic.effects import Changes
+from pnm.core.logic.expressions import Fluent
 from pnm.core.machine.bindings import Bindings, WhenLost
 from pnm.core.machine.failure_causes import Cause
 from pnm.core.machine.machine import PetriNetMachine
@@ -205,10 +206,9 @@ class RunView(KeptState):
         """Whether the run is paused: nothing starts, and nothing is under way any more."""
         return self._state.pause is not None and self._state.idle
 
-    @property
-    def awaits_knowledge(self) -> bool:
-        """Whether a decision is pending that may be another one when facts change."""
-        return self._agenda.hears_of_facts
+    def hears_of(self, changed: Collection[Fluent]) -> bool:
+        """Return whether a decision is pending that may be another one when these facts have changed; without any, variables have."""
+        return self._agenda.hears_of(changed)
 
     @property
     def awaits(self) -> bool:
