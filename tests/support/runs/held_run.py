@@ -7,7 +7,8 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import suppress
 from random import Random
 from typing import Any
 from uuid import UUID
@@ -30,7 +31,7 @@ from pnm.core.machine.plan_graph import ActionCall
 from pnm.core.machine.requests import CallOutcome, Request
 from pnm.core.net.net import Marking
 from pnm.core.resources import Resources
-from pnm.journal.codec import RECORDS
+from pnm.journal.codec import RECORDS, Undecodable
 from pnm.journal.records import base_of, knowledge_now
 from tests.support.runs.commands import RUN
 from tests.support.runs.mutation.machines import random_bindings, random_plan, with_calls_under_way, written_out
@@ -142,6 +143,19 @@ class Unrest(Chaos):
         return super()._next()
 
 
+SHORTENED = {("Calls", "_contexts"), ("RunState", "marked_at"), ("CallResults", "_answers")}
+"""Attributes that values have not, or not whole: what is cached, is asked for no more, or was returned by servers."""
+
+
+def attributes(run: Run) -> Iterator[tuple[str, str, str]]:
+    """Yield the attributes of the parts of a run that can be written down, those that are not kept among them."""
+    for part in run._parts.values():
+        for name, value in vars(part).items():
+            if (type(part).__name__, name) not in SHORTENED:
+                with suppress(Undecodable):
+                    yield type(part).__name__, name, RECORDS.text(value)
+
+
 class KeptRun(AccompaniedRun):
     """A run with another beside it, which is made anew from its values now and then."""
 
@@ -163,6 +177,7 @@ class KeptRun(AccompaniedRun):
         self.other = Run(
             self.machine, knowledge, id=RUN, asks=self.asks_people, bindings=self.bound, resources=resources, tells=True, kept=kept
         )
+        assert list(attributes(self.other)) == list(attributes(self))
 
     def hear(self, changes: Mapping[Fluent, Value | Unknown]) -> None:
         if changes:
@@ -190,16 +205,17 @@ class KeptRun(AccompaniedRun):
 def hold_against_reference(number: int, times: int = 3) -> None:
     """Execute the machine of a random plan a few times, in the run and in the reference."""
     for time in range(times):
-        _drive(Random(f"{number} {time}"), HeldRun)
+        drive(Random(f"{number} {time}"), HeldRun)
 
 
 def hold_against_values(number: int, times: int = 3) -> None:
     """Execute the machine of a random plan a few times, with a run beside it that is made from its values again and again."""
     for time in range(times):
-        _drive(Random(f"{number} {time}"), KeptRun)
+        drive(Random(f"{number} {time}"), KeptRun)
 
 
-def _drive(random: Random, kind: type[AccompaniedRun]) -> None:
+def drive(random: Random, kind: type[AccompaniedRun]) -> AccompaniedRun:
+    """Execute the machine of a random plan; return the run."""
     planned = random_plan(random, EFFECTS)
     taken_over = with_calls_under_way(planned, random)
     plan = taken_over if sum(call.under_way and bool(call.action.resources) for call in taken_over.calls) < 2 else planned
@@ -217,6 +233,7 @@ def _drive(random: Random, kind: type[AccompaniedRun]) -> None:
         unrest.adopt(taken)
     for _ in unrest.drive(3_000):
         pass
+    return run
 
 
 def _under_way(call: ActionCall, knowledge: Layered) -> UnderWay:
