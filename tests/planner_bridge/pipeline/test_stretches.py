@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import replace
 from random import Random
 
+from planner_bridge.model.plan import Plan, PlanningResult, PlanStep, Policy
 from planner_bridge.model.problem import Problem
 from planner_bridge.pddl import parse_domain, parse_problem
-from planner_bridge.tasks.replanning import GiveUp, Limits, NextStretch
-from pnm.actions.faults import Fault, Faults
+from planner_bridge.tasks.replanning import GiveUp, Limits, NextStretch, decision_words
+from planner_bridge.tasks.settings import Memory, Settings
+from pnm.actions.faults import Fault, Faults, HiddenChange
+from pnm.core.logic.expressions import State
 from pnm.core.machine.bindings import Bindings
 from pnm.core.machine.plan_graph import GroundAction
 from pnm.tasks import Code
@@ -92,3 +97,41 @@ def test_what_no_sensor_tells_is_unknown_and_never_a_success() -> None:
 def test_a_goal_that_an_outcome_reaches_in_passing_ends_the_task() -> None:
     result, _ = pursued(cups("(or (held mug) (floor mug))"), drawn(FLOOR))
     assert (result.goal_reached, outcomes(result)) == (True, ["go: succeeded", "pick: 2"])
+
+
+class Known(Memory):
+    """Has every plan come with this policy. The mutable state is how often a planner was asked."""
+
+    def __init__(self, policy: Policy) -> None:
+        self.policy, self.asked = policy, 0
+
+    def plan(self, problem: Problem, timeout: float, search: Callable[[float], PlanningResult]) -> PlanningResult:
+        self.asked += 1
+        return replace(search(timeout), policy=self.policy)
+
+
+class Picks:
+    """Lifts what has fallen, and picks what stands."""
+
+    def stretch(self, state: State, /) -> Plan | None:
+        lifted = (PlanStep("lift", ("mug",)),) if state.value(("floor", "mug")) else ()
+        return Plan((*lifted, PlanStep("pick", ("mug",), float(len(lifted)))))
+
+
+def test_a_policy_goes_on_without_a_planner() -> None:
+    known = Known(Picks())
+    result, _ = pursued(cups(), drawn(FLOOR, NOTHING, FLOOR), Settings(memory=known))
+    assert (result.goal_reached, known.asked, result.plans, result.replans) == (True, 1, 1, 0)
+    assert [call.call.action.name for call in result.calls] == ["go", "pick", "lift", "pick", "pick", "lift", "pick"]
+    assert [decision_words(episode.decision) for episode in result.episodes[:2]] == [
+        "pick(mug): 2: going on with 2 calls",
+        "pick(mug): 3: going on with 1 call",
+    ]
+
+
+def test_what_a_policy_wants_and_cannot_be_done_is_planned_anew() -> None:
+    known = Known(Picks())
+    gone = HiddenChange({("at", "kitchen"): False, ("at", "hall"): True}, moment="end", what="pick(mug)")
+    faults = drawn(NOTHING)
+    result, _ = pursued(cups(), replace(faults, changes=(gone,)), Settings(memory=known))
+    assert (result.goal_reached, known.asked) == (True, 2)
