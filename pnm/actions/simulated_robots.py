@@ -463,15 +463,15 @@ def _fits(source: object, value: object, arguments: dict[str, str]) -> bool:
 
 
 def result_of(binding: Binding, outcome: Outcome) -> dict[str, object]:
-    """Return the result fields by which the binding finds that an action has succeeded, or why it has failed.
+    """Return the result fields by which the binding finds that an action has succeeded, and in which outcome, or why it has failed.
 
     Fields of items in lists are left alone, and so are negations: their defaults have to do. Where numbers stand for reasons, it is the
     one that has the outcome's message for a word, or the first.
     """
     result: dict[str, object] = {}
     if outcome.kind is OutcomeKind.SUCCEEDED:
-        if binding.success is not None:
-            _satisfy(binding.success, result)
+        if (told := binding.outcomes.get(outcome.declared, binding.success)) is not None:
+            _satisfy(told, result)
     elif binding.reason is not None and binding.reason.table is None:
         _put(result, binding.reason.field, outcome.message)
     elif binding.reason is not None and binding.reason.table and outcome.kind is OutcomeKind.ABORTED:

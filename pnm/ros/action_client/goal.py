@@ -87,13 +87,13 @@ class Goal:
             return
         texts = (text for name in _MESSAGES if isinstance(text := result.get(name), str) and text)
         outcome = self.binding.judged(Outcome(OVER[status], result, next(texts, "")))
-        self.end(outcome.kind, outcome.message, result)
+        self.end(outcome.kind, outcome.message, result, outcome.declared)
 
-    def end(self, kind: OutcomeKind, message: str = "", result: Mapping[str, object] | None = None) -> None:
+    def end(self, kind: OutcomeKind, message: str = "", result: Mapping[str, object] | None = None, declared: str = "") -> None:
         """Report the end, once."""
         if not self.ended:
             self.ended = True
-            self.report(Ended(self.request.id, Outcome(kind, result or {}, message)))
+            self.report(Ended(self.request.id, Outcome(kind, result or {}, message, declared)))
 
     def unfilled(self, known: tuple[str, ...]) -> tuple[str, ...]:
         """Return the fields of the type for which no value was collected, because the type was not known."""
