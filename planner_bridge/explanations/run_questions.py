@@ -16,7 +16,7 @@ from planner_bridge.explanations.needed_call import Course, why_call
 from planner_bridge.model.progression import Happening
 from pnm.core.execution.questions import EvaluationContext
 from pnm.core.logic.computed_values import Unanswered
-from pnm.core.logic.conditions import All, conjuncts, evaluate, fluents, observed
+from pnm.core.logic.conditions import TRUE, All, conjuncts, evaluate, fluents, observed
 from pnm.core.logic.effects import written
 from pnm.core.logic.expressions import Fluent, fluent_text
 from pnm.core.machine.plan_graph import ActionCall, Moment, Ordering
@@ -71,6 +71,9 @@ def why_call_of_run(history: JournalHistory, task: TaskHistory, run: RunHistory,
     plan = run.source.plan
     if task.accepted.wanted.is_plan or not all(isinstance(step, ActionCall) for step in plan.steps):
         needed = Answer("the plan was written by a person: it does not say the purpose of its calls", Known.GIVEN)
+    elif (ways := plan.calls[call].action.outcomes) and plan.goal == TRUE:
+        names = listed([way.name for way in ways], most=_SHOWN)
+        needed = Answer(f"what follows {_name(run, call)} goes by its outcome, which may be {names}", Known.GIVEN)
     else:
         begun = frozenset(call.index for call in plan.calls if call.under_way)
         events = [event for event in plan.order if event.call not in begun or event.moment is Moment.END]
@@ -136,7 +139,8 @@ def why_now(history: JournalHistory, task: TaskHistory, run: RunHistory, call: i
     waited = sorted(_waited(history, run, call, result.started), key=lambda wait: -wait[0])
     reasons = tuple(Answer(text, Known.JOURNAL) for _, text in waited)
     since = "it began with its run" if not waited else f"the last that it waited for was: {waited[0][1]}"
-    return Answer(f"{name} began at {result.started - began:.2f} s; {since}", Known.JOURNAL, reasons[1:])
+    came = f"; it has come to its outcome {result.declared}" if result.declared else ""
+    return Answer(f"{name} began at {result.started - began:.2f} s; {since}{came}", Known.JOURNAL, reasons[1:])
 
 
 def _name(run: RunHistory, call: int) -> str:

@@ -225,6 +225,13 @@ def view_of(story: Story) -> View:
     runs = story.runs.values()
     results = {f"{run.id.hex}/{index}": (run, result) for run in runs for index, result in run.last_results.items()}
     troubles = {key: (run, trouble) for run in runs for key, trouble in run.troubles.items()}
+    told = {key: result.declared for key, (_, result) in results.items() if result.declared}
+
+    def request(id: UUID, attempt: Attempt) -> Thing:
+        has_succeeded = attempt.outcome is not None and attempt.outcome.kind is OutcomeKind.SUCCEEDED
+        declared = told.get(f"{attempt.run.hex}/{attempt.call}", "") if has_succeeded else ""
+        return story.once(id.hex, (attempt, declared), partial(_request, story, attempt, declared))
+
     return View(
         story.number,
         story.time,
@@ -235,7 +242,7 @@ def view_of(story: Story) -> View:
         {id.hex: _task(story, task) for id, task in story.tasks.items()},
         {run.id.hex: story.once(run.id.hex, (run.origin, run.is_over, run.replan), partial(_run, run)) for run in runs},
         {key: story.once(key, result, partial(_call, run, result)) for key, (run, result) in results.items()},
-        {id.hex: story.once(id.hex, attempt, partial(_request, story, attempt)) for id, attempt in story.attempts.items()},
+        {id.hex: request(id, attempt) for id, attempt in story.attempts.items()},
         story.facts,
         _servers(story),
         story.questions,
@@ -311,7 +318,7 @@ def _call(run: RunHistory, result: CallResult) -> Thing:
     }
 
 
-def _request(story: Story, attempt: Attempt) -> Thing:
+def _request(story: Story, attempt: Attempt, declared: str) -> Thing:
     run, outcome = story.runs[attempt.sender], attempt.outcome
     return {
         "run": attempt.run.hex,
@@ -323,6 +330,7 @@ def _request(story: Story, attempt: Attempt) -> Thing:
         "accepted": attempt.accepted,
         "ended": attempt.ended,
         "outcome": outcome.kind.value if outcome else "",
+        "declared": declared,
         "message": outcome.message if outcome else "",
         "feedback": attempt.feedback,
     }
@@ -401,7 +409,9 @@ def _timed_plan(history: JournalHistory, run: RunHistory, began: float) -> Timed
             for sent in history.sent(run, call.index)
         )
         name, planned, has_failed = str(became.call.action), origin + call.planned, became.kind is CallOutcome.FAILED
-        calls.append(TimedCall(call.index, name, lane, planned, lasts, attempts, became.outcome, became.is_done, has_failed))
+        calls.append(
+            TimedCall(call.index, name, lane, planned, lasts, attempts, became.outcome, became.is_done, has_failed, became.declared)
+        )
     failures = tuple(str(Failure(trouble.step, *trouble.cause)) for trouble in run.failures)
     return TimedPlan(run.time - began, tuple(calls), run.replan, failures)
 

@@ -91,12 +91,12 @@ function draw(place, model, { layout, width, left, narrow, end, lanes, planned }
 function drawBar(id, bar, choose) {
   const old = drawn.bars.get(id);
   if (old?.bar === bar && old.row === bar.row && old.isChosen === bar.isChosen) return;
-  const looks = `${bar.from} ${bar.to} ${bar.row} ${bar.state} ${bar.isChosen} ${bar.words}`;
+  const looks = `${bar.from} ${bar.to} ${bar.row} ${bar.state} ${bar.isChosen} ${bar.words} ${bar.declared}`;
   drawn.bars.set(id, { bar, row: bar.row, isChosen: bar.isChosen, looks, group: old?.group });
   if (old?.looks === looks) return;
   const [from, width] = [drawn.x(bar.from), Math.max(3, drawn.x(bar.to) - drawn.x(bar.from))];
   const y = drawn.tops.get(bar.lane) + PLANNED + 3 + bar.row * ROW;
-  const text = `${SIGNS[bar.state]} ${bar.action}${bar.attempt > 1 ? ` (${bar.attempt})` : ""}`;
+  const text = `${SIGNS[bar.state]} ${bar.action}${bar.attempt > 1 ? ` (${bar.attempt})` : ""}${bar.declared ? `: ${bar.declared}` : ""}`;
   const letters = Math.floor((width - 8) / 6.1);
   const label = letters >= text.length ? text : letters > 6 ? `${text.slice(0, letters - 1)}…` : letters >= 1 ? text.slice(0, 1) : "";
   const group = svg("g", { class: `bar${bar.isChosen ? " chosen" : ""}`, "data-state": bar.state, "data-call": bar.call },
@@ -143,8 +143,8 @@ function barsOf(model, chosen) {
     const call = `${request.run}/${request.call}`;
     const entry = [id, {
       lane: request.lane, from: request.sent, to: request.ended ?? (isOver ? request.accepted ?? request.sent : model.time), row: 0,
-      state: stateOf(request, isOver), action: request.action, attempt: request.attempt, call, isChosen: call === chosen,
-      words: request.outcome ? `${request.outcome}${request.message ? `: ${request.message}` : ""}` : request.feedback || "is under way",
+      state: stateOf(request, isOver), action: request.action, attempt: request.attempt, declared: request.declared, call, isChosen: call === chosen,
+      words: request.outcome ? `${request.declared || request.outcome}${request.message ? `: ${request.message}` : ""}` : request.feedback || "is under way",
     }];
     if (request.outcome) overBars.set(request, entry);
     return entry;

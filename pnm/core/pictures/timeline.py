@@ -50,6 +50,8 @@ class TimedCall:
     is_done: bool = False
     """It succeeded, or was not needed."""
     is_failed: bool = False
+    declared: str = ""
+    """Which of the declared outcomes of its action it has had, if there are several."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -250,6 +252,8 @@ def _drawn(bar: _Bar, y: float, scale: float, until: float) -> Iterator[str]:
             noted.append((attempt.sent, f"{sign} {_how(attempt)}"))
     if call.is_failed and (not call.attempts or call.attempts[-1].outcome is OutcomeKind.SUCCEEDED):
         noted.append((call.attempts[-1].sent if call.attempts else _begin(bar), f"✗ {call.outcome}"))
+    elif call.declared:
+        noted.append((call.attempts[-1].sent if call.attempts else _begin(bar), call.declared))
     elif not call.attempts:
         noted.append((_begin(bar), call.outcome))
     yield from _written("", y + 21.5, scale, [(_named_at(bar), call.name)], until)

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 from random import Random
 
 from planner_bridge.model.plan import Plan, PlanningResult, PlanStep, Policy
@@ -11,15 +13,20 @@ from planner_bridge.model.problem import Problem
 from planner_bridge.pddl import parse_domain, parse_problem
 from planner_bridge.tasks.replanning import GiveUp, Limits, NextStretch, decision_words
 from planner_bridge.tasks.settings import Memory, Settings
+from planner_bridge.view.follow import Reader
+from planner_bridge.view.story import timelines, view_of
 from pnm.actions.faults import Fault, Faults, HiddenChange
 from pnm.core.logic.expressions import State
 from pnm.core.machine.bindings import Bindings
 from pnm.core.machine.plan_graph import GroundAction
+from pnm.core.pictures.timeline import timeline_svg
 from pnm.tasks import Code
+from tests.support.e2e.command_line import pnm
+from tests.support.files import written
 from tests.support.tasks.replanning import aborts, decisions, pursued
 
 CUPS = """
-(define (domain cups) (:requirements :strips :typing :non-deterministic) (:types cup room)
+(define (domain cups) (:requirements :strips :typing :non-deterministic) (:types cup room) (:constants kitchen - room)
   (:predicates (held ?c - cup) (floor ?c - cup) (broken ?c - cup) (table ?c - cup) (at ?r - room) (swept))
   (:action pick :parameters (?c - cup) :precondition (and (table ?c) (at kitchen))
     :effect (oneof (and (held ?c) (not (table ?c))) (and (floor ?c) (not (table ?c))) (and)))
@@ -27,13 +34,12 @@ CUPS = """
   (:action sweep :parameters () :effect (swept))
   (:action go :parameters (?from ?to - room) :precondition (at ?from) :effect (and (at ?to) (not (at ?from)))))
 """
+PROBLEM = "(define (problem p) (:domain cups) (:objects mug - cup hall - room) (:init (table mug) (at hall)) (:goal (held mug)))"
 HELD, FLOOR, NOTHING = "1", "2", "3"
 
 
-def cups(goal: str = "(held mug)", domain: str = CUPS) -> Problem:
-    kitchen = domain.replace("(:predicates", "(:constants kitchen - room) (:predicates")
-    text = f"(define (problem p) (:domain cups) (:objects mug - cup hall - room) (:init (table mug) (at hall)) (:goal {goal}))"
-    return parse_problem(text, parse_domain(kitchen))
+def cups(goal: str = "(held mug)") -> Problem:
+    return parse_problem(PROBLEM.replace("(held mug)", goal), parse_domain(CUPS))
 
 
 def drawn(*names: str) -> Faults:
@@ -135,3 +141,24 @@ def test_what_a_policy_wants_and_cannot_be_done_is_planned_anew() -> None:
     faults = drawn(NOTHING)
     result, _ = pursued(cups(), replace(faults, changes=(gone,)), Settings(memory=known))
     assert (result.goal_reached, known.asked) == (True, 2)
+
+
+def test_all_who_tell_of_a_run_tell_the_outcome(tmp_path: Path) -> None:
+    files = [str(written(tmp_path / name, text)) for name, text in (("domain.pddl", CUPS), ("problem.pddl", PROBLEM))]
+    faults = written(tmp_path / "faults.yaml", 'faults: [{action: pick, outcome: "2", times: 1}, {action: pick, outcome: "1", after: 1}]\n')
+    journal = str(tmp_path / "journal")
+    done = pnm("run", *files, "--faults", str(faults), "--journal", journal, "--json")
+    assert [call["outcome"] for call in json.loads(done.stdout.splitlines()[-1])["calls"]] == ["succeeded", "2", "succeeded", "1"]
+    (timeline,) = timelines(journal)
+    assert [call.declared for plan in timeline.plans for call in plan.calls] == ["", "2", "", "1"]
+    assert '<text class="words"' in timeline_svg(timeline)
+    reader = Reader(tmp_path / "journal")
+    view = reader.at(reader.newest().number, view_of)
+    assert view is not None
+    assert [request["declared"] for request in view.requests.values()] == ["", "2", "", "1"]
+    why = pnm("why", "--journal", journal, "--call", "pick(mug)").output
+    assert "what follows #1 pick(mug) goes by its outcome, which may be 1, 2 and 3" in why
+    assert "it has come to its outcome 1" in why
+    assert "pick(mug): 2: going on with 2 calls" in pnm("why", "--journal", journal).output
+    shown = pnm("run", *files, "--faults", str(faults)).output
+    assert "found  pick(mug): 2\nnext      pick(mug): 2: going on with 2 calls\n" in shown
