@@ -126,6 +126,7 @@ def plan(
     if as_json:
         steps = [
             {"action": step.action, "arguments": [*step.arguments], "start": round(step.start, 6), "duration": round(step.duration, 6)}
+            | ({"outcome": step.outcome} if step.outcome else {})
             for step in (result.plan.steps if result.plan else ())
         ]
         plan = result.plan

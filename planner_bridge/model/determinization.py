@@ -35,12 +35,12 @@ class Determinization:
     """For the name of every action there that stands for an outcome, the action here and the outcome."""
 
     def plan(self, plan: Plan) -> Plan:
-        """Return a plan of that problem as one of the problem that it was made of."""
+        """Return a plan of that problem as one of the problem that it was made of; that no plan is better there proves nothing here."""
         steps = []
         for step in plan.steps:
             action, outcome = self.outcomes.get(step.action, (step.action, ""))
             steps.append(replace(step, action=action, outcome=outcome))
-        return replace(plan, steps=tuple(steps))
+        return replace(plan, steps=tuple(steps), is_best=False)
 
     def bindings(self, bindings: Bindings) -> Bindings:
         """Return the bindings with those of the actions there, which the servers of the actions here carry out."""

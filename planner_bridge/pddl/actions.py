@@ -6,6 +6,7 @@ The conditions and effects of a durative action are sorted by their time specifi
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
+from itertools import count
 from typing import Final, Literal, TypeAlias, TypeVar
 
 from planner_bridge.pddl.expressions import TIME_SPECIFIERS, Atom, Group, Node, TimeSpecifier, new_name, operands, where, wrong
@@ -25,8 +26,9 @@ from planner_bridge.pddl.sections import keyed
 from planner_bridge.pddl.symbols import SymbolTable
 from pnm.core.logic.conditions import TRUE, Condition, ForAll, conjunction
 from pnm.core.logic.domain import ActionSchema, DurationConstraint, Preference
-from pnm.core.logic.effects import OPERATIONS, Alternative, Effect, Effects, ForEach, OneOf, When, has_outcomes
-from pnm.core.logic.expressions import Variable, expression_fluents
+from pnm.core.logic.effects import OPERATIONS, Alternative, Effect, Effects, ForEach, OneOf, Set, When, has_outcomes, outcomes
+from pnm.core.logic.expressions import Constant, OnlyObjects, Variable, expression_fluents, fluent_text
+from pnm.errors import InputError
 
 T = TypeVar("T")
 Timed: TypeAlias = dict[TimeSpecifier, list[T]]
@@ -43,12 +45,18 @@ def actions(sections: Iterable[Group], symbols: SymbolTable) -> dict[str, Action
     """Read the actions in the order of the file."""
     schemas: dict[str, ActionSchema] = {}
     first: dict[str, Group] = {}
+    named: list[tuple[str, Group]] = []
     for section in sections:
         if not section.rest:
             raise wrong(section, f"expected a name after '{section.head}', found nothing")
-        name = new_name(section.rest[0], "action")
-        if first.setdefault(name.lower(), section) is not section:
-            raise wrong(section, f"the action {name!r} is declared twice; the first time in line {where(first[name.lower()]).line}")
+        named.append((new_name(section.rest[0], "action"), section))
+        first.setdefault(named[-1][0].lower(), section)
+    for name, section in named:
+        if first[name.lower()] is not section:
+            same = name
+            name = next(one for number in count(2) if (one := f"{same}-{number}").lower() not in first)
+            first[name.lower()] = section
+            Leniency.ACTION_TWICE.note(section, same, where(first[same.lower()]).line, name)
         if section.head == DURATIVE:
             schemas[name] = _durative(name, section, symbols)
             continue
@@ -59,6 +67,19 @@ def actions(sections: Iterable[Group], symbols: SymbolTable) -> dict[str, Action
         precondition, preferences = split_preferences(parts.get(":precondition", empty), scope)
         changes = effects(parts.get(":effect", empty), scope)
         schemas[name] = ActionSchema(name, parameters, precondition=precondition, end_effects=changes, preferences=preferences)
+    for schema, (_, section) in zip(schemas.values(), named, strict=True):
+        if has_outcomes(schema.end_effects):
+            try:
+                ways = outcomes(schema.end_effects, OnlyObjects({}))
+            except InputError as error:
+                raise wrong(section, error.message) from error
+            for way in ways:
+                added, deleted = (
+                    dict.fromkeys(one.fluent for one in way.effects if isinstance(one, Set) and one.value == Constant(truth))
+                    for truth in (True, False)
+                )
+                for fluent in (one for one in deleted if one in added):
+                    Leniency.ADDED_AND_DELETED.note(section, way.name, schema.name, fluent_text(fluent))
     return schemas
 
 

@@ -72,6 +72,10 @@ class Leniency(Enum):
     VARIABLE_TWICE = "the variable {} is there twice"
     DERIVED_UNDECLARED = "the predicate {!r} is derived here but not among the :predicates"
 
+    # actions and what they change
+    ACTION_TWICE = "the action {!r} is declared twice, the first time in line {}; this one is called {!r}"
+    ADDED_AND_DELETED = "the outcome {} of {} both deletes and adds {}, so it is true after it"
+
     # rewards
     GOAL_REWARD = "':goal-reward' is ignored: every plan reaches the goal"
     REWARD = "rewards are ignored: {}"

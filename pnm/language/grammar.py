@@ -324,7 +324,7 @@ class Call(Place, others=ANYTHING):
     )
     end_after = written(_WAITS, "ids of the steps that the end of this call waits for")
     duration = number("seconds for the call, within the bounds of its action", None)
-    outcome = text("of an action with several: the expected one. Any other is a failure", "the first")
+    outcome = text("of an action with several: the one that the next steps are meant for; they check what they need", "the first")
     release = number("seconds after the beginning of the plan; the call does not start before", 0.0)
     latest_start = number("seconds after the beginning of the plan; the call must be sent by then", inf)
     deadline = number("seconds after the beginning of the plan; the call must have ended by then", inf)

@@ -30,7 +30,7 @@ def one_of(*ways: tuple[Effect, ...]) -> OneOf:
 READ: dict[str, tuple[Effect, ...]] = {
     "(oneof (p) (q))": (one_of((P,), (Q,)),),
     "(oneof () (and) (p) (p))": (one_of((), (), (P,), (P,)),),
-    "(and (p) (oneof (and (p) (q)) (not (p))))": (P, one_of((P, Q), (NOT_P,))),
+    "(and (q) (oneof (and (p) (q)) (not (p))))": (Q, one_of((P, Q), (NOT_P,))),
     "(oneof (oneof (p) (q)) (p))": (one_of((one_of((P,), (Q,)),), (P,)),),
     "(probabilistic 0.25 (p) 3/4 (q))": (likely((0.25, (P,)), (0.75, (Q,))),),
     "(probabilistic 0.9 (p))": (likely((0.9, (P,)), (0.1, ())),),
@@ -68,6 +68,17 @@ def test_outcomes_are_read_and_written_without_loss(action: str, effects: tuple[
 def test_a_predicate_may_have_the_name_of_a_word_for_outcomes() -> None:
     domain = parse_domain("(define (domain d) (:predicates (oneof ?x)) (:constants c) (:action a :effect (oneof c)))")
     assert domain.actions["a"].end_effects == (Set(("oneof", "c"), Constant(True)),)
+
+
+def test_an_outcome_that_deletes_what_is_added_besides_is_warned_of() -> None:
+    domain = parse_domain(f"{HEAD}\n (:action a :effect (and (p) (oneof (and) (not (p)) (q)))))")
+    assert warnings(domain) == ["2:2: warning: the outcome 2 of a both deletes and adds (p), so it is true after it"]
+
+
+def test_an_action_of_its_own_may_have_too_many_outcomes() -> None:
+    several = " ".join(f"(oneof (at {name}) (and))" for name in "abcdefg")
+    with pytest.raises(InputError, match=r"2:2: an action may turn out in more than 64 ways; expected 64 at most"):
+        parse_domain(f"{HEAD} (:constants a b c d e f g - room)\n (:action a :effect (and {several})))")
 
 
 def test_too_many_outcomes_are_refused_with_the_problem() -> None:

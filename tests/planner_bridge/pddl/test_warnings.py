@@ -44,6 +44,10 @@ DOMAINS = [
             "2:27: warning: the variable '?x' is there twice",
         ],
     ),
+    (
+        "(:action a :effect (idle))\n(:action b) (:action A-2)\n(:action A)",
+        ["4:1: warning: the action 'A' is declared twice, the first time in line 2; this one is called 'A-3'"],
+    ),
     ("(:action a :parameters (? r - robot) :effect (at-room ?r hall))", ["2:25: warning: '? r' is read as '?r'"]),
     ("(:action a :vars (?r - robot) :effect (at-room ?r hall))", ["2:18: warning: the variables of :vars are read as further parameters"]),
     (

@@ -6,10 +6,6 @@
 (:action (a))
 ;! 2:10: expected the name of an action, found (a)
 
-(:action a)
-(:durative-action A :duration ())
-;! 3:1: the action 'A' is declared twice; the first time in line 2
-
 (:action a :efect (idle))
 ;! 2:12: unknown key ':efect' in the action 'a'; did you mean ':effect'?
 
