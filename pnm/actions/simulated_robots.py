@@ -330,7 +330,9 @@ class SimulatedRobots:
             except Uncomputable as error:
                 problem = f"the result of {job.request.action} cannot be computed: {error}"
         kind = OutcomeKind.ABORTED if problem else OutcomeKind.SUCCEEDED
-        told = ended.outcome if ended.outcome in self.bindings.of(ended.name).outcomes else ""  # as a real one would tell it
+        told = (
+            ended.outcome if not problem and ended.outcome in self.bindings.of(ended.name).outcomes else ""
+        )  # as a real one would tell it
         self._end(job, Outcome(kind, result, problem, told))
 
     def _fail(self, job: _Job, kind: OutcomeKind, message: str) -> None:

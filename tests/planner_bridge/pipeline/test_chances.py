@@ -4,9 +4,10 @@ import json
 
 import pytest
 
+from planner_bridge.pipeline.loading import load
 from tests.support.files import ROOT, SHARED
 from tests.support.pddl.outcomes.optimum import optimum
-from tests.support.pddl.outcomes.play import HANGS, Way, behind, fill, row
+from tests.support.pddl.outcomes.play import HANGS, Kept, Way, behind, fill, row, trial
 from tests.support.pddl.outcomes.problem import Chance
 
 CASES = ROOT / "tests" / "support" / "pddl" / "outcomes" / "cases"
@@ -37,6 +38,15 @@ def test_a_door_that_may_be_locked_is_not_tried_before_the_battery_is_full():
         _, state = ends[0]
     assert [best[after] for _, after in ends] == [1.0, 0.0]
     assert best[chance.initial] == 1.0
+
+
+@pytest.mark.parametrize("way", ["policy", "whole"])
+@pytest.mark.parametrize("name", ["door", "household", "latches", "orchard", "slippery"])
+def test_what_can_be_had_for_certain_is_reached_every_time(name, way):
+    chance, problem, kept = Chance.read(CASES / name), load(CASES / name / "domain.pddl", CASES / name / "problem.pddl"), Kept()
+    trials = [trial(chance, problem, Way(way, 1000, 60.0), seed, kept) for seed in range(10)]
+    assert [(one["claimed"], one["reached"], one["why"]) for one in trials] == [(True, True, "")] * 10
+    assert (kept.told["proved"], kept.searches) == (True, 1)
 
 
 def test_too_many_states_have_no_optimum():

@@ -10,9 +10,11 @@ from planner_bridge.model.grounding import ground_action
 from planner_bridge.model.world import robots_of
 from planner_bridge.pddl import parse_domain, parse_problem
 from pnm.actions.faults import NO_FAULTS, Fault, Faults, read_faults
+from pnm.actions.simulated_robots import result_of
 from pnm.clock import run_async
-from pnm.core.machine.bindings import Bindings
+from pnm.core.machine.bindings import Binding, Bindings
 from pnm.core.machine.requests import Ended, Outcome, OutcomeKind, Request
+from pnm.core.message_fields import Comparison, parse_field
 from tests.support.files import written
 
 PROBLEM = parse_problem(
@@ -26,12 +28,15 @@ PROBLEM = parse_problem(
     ),
 )
 
+HELD, DROPPED = (Comparison(parse_field("code"), "eq", code) for code in (5, 7))
+TELLS = Bindings({"pick": Binding(success=HELD, outcomes={"2": DROPPED})})
 
-def performed(*names: str, faults: Faults = NO_FAULTS) -> list[tuple[Outcome, frozenset[str]]]:
+
+def performed(*names: str, faults: Faults = NO_FAULTS, bindings: Bindings = Bindings()) -> list[tuple[Outcome, frozenset[str]]]:
     """Return how actions end that are performed one after the other in a world in which nothing is so, and the facts after each."""
 
     async def perform() -> list[tuple[Outcome, frozenset[str]]]:
-        robots, found = robots_of(PROBLEM, Bindings(), faults), []
+        robots, found = robots_of(PROBLEM, bindings, faults), []
         for name in names:
             ended = get_running_loop().create_future()
             robots.world.change(dict.fromkeys(robots.world.truth.facts(), False))
@@ -84,3 +89,10 @@ def test_an_outcome_that_an_action_does_not_have_fails_by_name(action):
 def test_an_action_without_several_outcomes_tells_none():
     ((outcome, _),) = performed("wait")
     assert outcome.result == {}
+
+
+@pytest.mark.parametrize(("name", "told", "code"), [("1", "", 5), ("2", "2", 7)])
+def test_an_outcome_is_told_in_the_result_as_its_binding_reads_it(name, told, code):
+    ((outcome, _),) = performed("pick", faults=Faults((Fault("pick", outcome=name),)), bindings=TELLS)
+    assert (outcome.declared, result_of(TELLS.of("pick"), outcome)) == (told, {"code": code})
+    assert performed("pick", faults=Faults((Fault("pick", outcome="9"),)), bindings=TELLS)[0][0].declared == ""

@@ -18,6 +18,7 @@ from planner_bridge.model.problem import Problem
 from planner_bridge.pddl import parse_domain, parse_problem
 from planner_bridge.pipeline.achieve import achieve_at
 from planner_bridge.pipeline.loading import load
+from planner_bridge.planning.policies.policy import Policy
 from planner_bridge.planning.solve import solve
 from planner_bridge.tasks.settings import Memory, Settings
 from pnm.clock import run_async
@@ -49,7 +50,7 @@ class Kept(Memory):
 
     def __init__(self) -> None:
         self.searches = 0
-        self.policy: Any = None
+        self.policy: Policy | None = None
         self.told: dict[str, Any] = {}
         self._found: dict[frozenset[object], list[tuple[Problem, PlanningResult]]] = {}
 
@@ -62,7 +63,7 @@ class Kept(Memory):
         self.searches += 1
         began = time.perf_counter()
         result = search(timeout)
-        if (policy := getattr(result, "policy", None)) and not self.policy:
+        if isinstance(policy := result.policy, Policy) and not self.policy:
             self.policy = policy
             self.told = {"closed": time.perf_counter() - began, "size": len(policy.entries), "proved": policy.is_proved}
         if result.plan:
