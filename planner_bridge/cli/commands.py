@@ -130,7 +130,7 @@ def plan(
             for step in (result.plan.steps if result.plan else ())
         ]
         plan = result.plan
-        found = {"cost": plan.cost, "expected_seconds": plan.seconds, "is_best": plan.is_best} if plan else {}
+        found = {"cost": plan.cost, "expected_seconds": plan.seconds, "is_best": plan.is_best, "above_best": plan.above} if plan else {}
         fields: dict[str, object] = {"status": result.status.value, "message": result.message, "planner": result.planner, **found}
         fields |= {"odds": odds.as_json()} if odds else {}
         options.print_json({**fields, "steps": steps if result.plan else None})

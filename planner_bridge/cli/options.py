@@ -271,6 +271,10 @@ class Planned(NamedTuple):
     learned: Rates | None
 
 
+_BOUND: Final = 0.5
+"""Seconds to find out how far from the best a plan is that people look at."""
+
+
 def planned(
     files: tuple[Path, Path],
     bindings: Path | None,
@@ -296,7 +300,9 @@ def planned(
         improve = GLANCE
     with searching(planner, timeout):
         learned = rates_for(domain, rates)
-        result = solve(loaded, planner=planner, timeout=timeout, improve=improve, bindings=bound, learned=learned)
+        result = solve(
+            loaded, planner=planner, timeout=timeout, improve=improve, bindings=bound, learned=learned, bound=is_looked_at * _BOUND
+        )
     return Planned(loaded, result, bound, learned)
 
 

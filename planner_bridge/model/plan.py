@@ -10,6 +10,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from enum import Enum
 from functools import cache
+from math import ceil
 from operator import attrgetter
 from typing import Final, Protocol
 
@@ -47,6 +48,8 @@ class Plan:
     """Until all is carried out, if nothing fails; None for a plan with times, and where nothing is known about its calls."""
     is_best: bool = False
     """Whether it is proved that no plan is better: costs less, or without a metric takes less time or has fewer steps."""
+    above: float | None = None
+    """How far it is above the best plan at most, as a part of that; None where no bound is known, or was asked for."""
 
     def __str__(self) -> str:
         if not self.steps:
@@ -54,12 +57,23 @@ class Plan:
         parts = [counted(len(self.steps), "call"), *([f"{self.makespan:.1f} s"] if self.temporal else ())]
         parts += [f"{self.seconds:.0f} s expected"] if self.seconds is not None else ()
         parts += [f"cost {self.cost:g}"] if self.cost is not None else ()
-        head = ", ".join((*parts, *(["no plan is better"] if self.is_best else ())))
+        if self.is_best:
+            parts.append("no plan is better")
+        elif self.above is not None and self.above <= 1.0:  # a bound that is farther off says nothing
+            parts.append(f"at most {ceil(100.0 * self.above)} % above the best")
+        head = ", ".join(parts)
         lines = (
             f"  {step.start:8.2f} s  {step}  [{step.duration:.2f} s]" if self.temporal else f"  {number:8d}.   {step}"
             for number, step in enumerate(self.steps, 1)
         )
         return "\n".join((head, *lines))
+
+    @property
+    def value(self) -> float:
+        """Its measure: the cost by a metric, else the expected seconds, else those that it says itself, else the number of steps."""
+        if self.cost is not None or self.seconds is not None:
+            return self.seconds or 0.0 if self.cost is None else self.cost
+        return self.makespan if self.temporal else float(len(self.steps))
 
     @property
     def makespan(self) -> float:

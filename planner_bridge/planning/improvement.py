@@ -92,7 +92,12 @@ def improvement(
         replaced = [call for call in waiting if begins[call.index] > thinks * _SLACK]
         if whole < WORTH_IT or not replaced:
             return whole, None
-        later, known = _after(now, stays), Plan(steps_of(replaced))
+        after, known = Progression(initial_knowledge(now)), Plan(steps_of(replaced))
+        for call in stays:
+            for moment in Moment:
+                after.advance([(PlanEvent(call.index, moment), call.action)])
+        facts = {fluent: value for fluent, value in after.state.facts().items() if not isinstance(value, Unknown)}
+        later = replace(now, init=facts)
         found = search(later, known=known, improve=improve and thinks).plan
         if found is None or found.steps == known.steps:
             return whole, None
@@ -101,15 +106,6 @@ def improvement(
     except (InputError, NotApplicable, PlanGraphError):  # what is under way may not fit into any plan
         return whole, None
     return whole, Improvement(frozenset(call.index for call in replaced), found.steps, why) if why else None
-
-
-def _after(now: Problem, calls: Iterable[ActionCall]) -> Problem:
-    """Return the problem from the state after these calls."""
-    simulation = Progression(initial_knowledge(now))
-    for call in calls:
-        for moment in Moment:
-            simulation.advance([(PlanEvent(call.index, moment), call.action)])
-    return replace(now, init={fluent: value for fluent, value in simulation.state.facts().items() if not isinstance(value, Unknown)})
 
 
 def _saved(later: Problem, known: Plan, found: Plan, seconds: float, work: float, *, is_known: bool) -> str:

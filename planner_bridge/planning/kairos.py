@@ -16,6 +16,7 @@ from planner_bridge.model.plan import ASSUMED_SECONDS, CancelToken, Plan, Planni
 from planner_bridge.model.problem import TOTAL_TIME, Domain, Problem, once_per_domain
 from planner_bridge.pddl.writer import write_domain, write_problem
 from planner_bridge.planning.normal_form import in_whole_numbers
+from pnm.core.logic.conditions import TOLERANCE
 from pnm.core.logic.expressions import ValueOf
 from pnm.core.machine.plan_graph import GroundAction
 from pnm.errors import InputError
@@ -112,6 +113,7 @@ def search(
     parsed: kairos.Problem | None = None,
     rates: ExpectedTimes | None = None,
     known: Plan | None = None,
+    least: float = -inf,
 ) -> PlanningResult:
     """Search with one planner, at most `timeout` seconds besides the time to load it; the plan is not validated yet.
 
@@ -121,6 +123,7 @@ def search(
         parsed: the problem as Kairos reads it, if that is there already.
         rates: what calls are expected to take; None where nothing is known.
         known: a plan that robots carry out meanwhile: only a better one is looked for.
+        least: what no plan is better than; there is no need to look for a better one than that.
     """
     if planner != DEFAULT_PLANNER:
         from planner_bridge.planning.engines import search_with_engine  # here, because Kairos needs no other process
@@ -129,7 +132,7 @@ def search(
     if problem.has_tasks:
         message = "task networks, which aries plans for (--planner aries)"
         return PlanningResult(PlanningStatus.UNSUPPORTED, message=message, planner=planner)
-    return search_with_kairos(problem, parsed or parse_for_kairos(problem, rates), timeout, improve, cancel, rates, known)
+    return search_with_kairos(problem, parsed or parse_for_kairos(problem, rates), timeout, improve, cancel, rates, known, least)
 
 
 def search_with_kairos(
@@ -140,6 +143,7 @@ def search_with_kairos(
     cancel: CancelToken,
     rates: ExpectedTimes | None = None,
     known: Plan | None = None,
+    least: float = -inf,
 ) -> PlanningResult:
     """Search for a plan until the timeout, or until the search is cancelled.
 
@@ -159,7 +163,7 @@ def search_with_kairos(
     if known is not None and not best.take(known):
         search.stop()
         return PlanningResult(PlanningStatus.INVALID_PLAN, message="the known plan does not solve the problem", planner=DEFAULT_PLANNER)
-    while search.running() and not cancel.is_set() and (now := time.monotonic()) < deadline:
+    while search.running() and not (cancel.is_set() or best.is_at(least)) and (now := time.monotonic()) < deadline:
         if next(parts, False):
             news = now
         else:
@@ -245,6 +249,10 @@ class _Best:
         if value < self._value:
             self.plan, self._value = plan, value
         return self.plan is plan
+
+    def is_at(self, least: float) -> bool:
+        """Return whether there is a plan that is as good as this."""
+        return self.plan is not None and self.plan.value <= least + TOLERANCE
 
     @property
     def worth(self) -> float:

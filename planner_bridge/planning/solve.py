@@ -21,7 +21,7 @@ from planner_bridge.model.progression import Happening, NotApplicable, Progressi
 from planner_bridge.planning.kairos import DEFAULT_PLANNER, parse_for_kairos, search, validate
 from planner_bridge.planning.validate import InvalidPlan, explained, last_state, validated
 from pnm.core.knowledge_base import KnowledgeBase
-from pnm.core.logic.conditions import Condition, Holds, Not, conjuncts, evaluate, fluents, names
+from pnm.core.logic.conditions import TOLERANCE, Condition, Holds, Not, conjuncts, evaluate, fluents, names
 from pnm.core.logic.effects import possible_assignments
 from pnm.core.logic.expressions import Constant, Fluent, Value, ValueOf, value_of
 from pnm.core.machine.plan_graph import GroundAction, Moment
@@ -55,6 +55,7 @@ def solve(
     bindings: Bindings | None = None,
     learned: Rates | None = None,
     known: Plan | None = None,
+    bound: float = 0.0,
 ) -> PlanningResult:
     """Search for a plan, validate it, and leave out what it does not need, at most `timeout` seconds.
 
@@ -70,6 +71,8 @@ def solve(
         bindings: say how long actions take, where the domain does not, and which resources they need for themselves.
         learned: say how long they take, and how often they succeed, by what has happened.
         known: a plan that robots carry out meanwhile: Kairos looks for a better one alone, and for longer.
+        bound: seconds to look for a lower bound, which says how far the plan is from the best, and when there is no need to look for
+            a better one.
 
     Raises:
         InputError: the planner refuses the problem, is not known, or is not installed.
@@ -123,9 +126,19 @@ def solve(
         members = None if planner == PORTFOLIO else _portfolio_members(planner)
         found = solve_with_portfolio(asked, planners=members, timeout=timeout, executor=executor, cancel=stop)
         return reduced(problem, found, until=until, rates=rates)
+    least = -inf
+    if bound:
+        from planner_bridge.planning.lower_bound import lower_bound  # here, because robots wait for most plans
+
+        least = lower_bound(problem, rates, time.monotonic() + min(bound, timeout))
     parsed = parse_for_kairos(asked, rates) if planner == DEFAULT_PLANNER else None  # once, for its search and its validator
-    found = search(asked, planner, timeout, stop, improve=improve, parsed=parsed, rates=rates, known=known)
-    return reduced(problem, validated(problem, found, parsed), parsed, until=until, rates=rates)
+    found = search(asked, planner, timeout, stop, improve=improve, parsed=parsed, rates=rates, known=known, least=least)
+    result = reduced(problem, validated(problem, found, parsed), parsed, until=until, rates=rates)
+    if result.plan is None or not least > 0.0:
+        return result
+    is_best = result.plan.is_best or result.plan.value <= least + TOLERANCE
+    above = 0.0 if is_best else (result.plan.value - least) / least
+    return replace(result, plan=replace(result.plan, is_best=is_best, above=above))
 
 
 def check_planner(planner: str, cancel: CancelToken | None = None) -> None:

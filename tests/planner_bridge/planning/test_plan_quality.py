@@ -4,23 +4,29 @@ from __future__ import annotations
 
 from dataclasses import replace
 from itertools import count
+from math import inf
 from unittest.mock import patch
 
 import pytest
-from hypothesis import given, strategies as st
+from hypothesis import HealthCheck, given, settings, strategies as st
 
 from planner_bridge.model.grounding import ground_action, initial_knowledge
 from planner_bridge.model.plan import Plan, PlanningResult, PlanningStatus, PlanStep
-from planner_bridge.model.problem import Problem
+from planner_bridge.model.problem import Metric, Problem
 from planner_bridge.model.progression import NotApplicable, Progression
+from planner_bridge.ordering.robot_time import ExpectedTimes, robot_time
 from planner_bridge.pddl import parse_domain, parse_problem
 from planner_bridge.planning import solve as module
-from planner_bridge.planning.solve import WORK, indispensable, reduced, solve
-from planner_bridge.planning.validate import why_invalid
-from pnm.core.logic.conditions import evaluate
+from planner_bridge.planning.lower_bound import lower_bound
+from planner_bridge.planning.solve import WORK, cost_of, indispensable, reduced, solve
+from planner_bridge.planning.validate import last_state, why_invalid
+from pnm.core.logic.conditions import TRUE, evaluate
+from pnm.core.logic.expressions import ValueOf
+from pnm.core.machine.bindings import Binding, Bindings
 from pnm.core.machine.plan_graph import GroundAction, Moment, PlanEvent
 from tests.support.pddl.problems import rooms
-from tests.support.pddl.random_plans import ground_calls
+from tests.support.pddl.random_plans import goal_of, ground_calls, walks
+from tests.support.pddl.random_problems import Features, fluents, problems
 from tests.support.pddl.vans import vans
 
 SHOP = """
@@ -75,6 +81,49 @@ def test_nothing_is_called_best_while_facts_are_unknown() -> None:
     result = solve(replace(shop(), unknown=frozenset({("asked",)})))
     assert result.plan is not None
     assert not result.plan.is_best
+
+
+# --- lower bounds ------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("features", [Features(), Features(timed=True)], ids=["one after the other", "with times"])
+def test_no_plan_is_better_than_the_lower_bound(features: Features) -> None:
+    @settings(max_examples=60, suppress_health_check=list(HealthCheck))
+    @given(st.data())
+    def check(data: st.DataObject) -> None:
+        drawn = data.draw(problems(features))
+        plan = data.draw(walks(drawn))
+        goal = goal_of(drawn, last_state(replace(drawn, goal=TRUE), plan).facts())
+        counted = st.sampled_from([None, *fluents(drawn, drawn.domain.functions)])
+        number, resources = data.draw(counted), data.draw(st.sampled_from([(), ("arm",), ("arm", "hand")]))
+        problem = replace(drawn, goal=goal, metric=number and Metric("minimize", ValueOf(number)))
+        seconds = {name: data.draw(st.sampled_from([0.5, 2.0])) for name in problem.domain.actions}
+        of_robots = Bindings({name: Binding(seconds=lasts, resources=resources) for name, lasts in seconds.items()})
+        measured = replace(plan, cost=cost_of(problem, plan))
+        assert lower_bound(problem, None, inf) <= measured.value + 1e-6
+        rates = ExpectedTimes(of_robots)
+        if rates.are_measure(problem):
+            assert lower_bound(problem, rates, inf) <= robot_time(problem, plan, rates) + 1e-6
+
+    check()
+
+
+def test_a_plan_that_is_as_good_as_the_bound_is_the_best_and_is_not_improved() -> None:
+    many = " ".join(f"(clean {room})" for room in "bcdefgh")
+    corridor = rooms(init="(at r1 a)", goal=f"(and {many})", ways="ab ba bc cb cd dc de ed ef fe fg gf gh hg")
+    two = Bindings({name: Binding(seconds=3.0, resources=("{r}",)) for name in ("move", "sweep")})
+    for bindings, value in ((None, 14.0), (two, 42.0)):
+        found = solve(corridor, bindings=bindings, improve=60.0, bound=10.0, timeout=70.0).plan
+        assert found is not None
+        assert (found.value, found.is_best, found.above) == (value, True, 0.0)
+
+
+def test_how_far_a_plan_is_from_the_best_at_most_is_said_unless_it_says_nothing() -> None:
+    plan = Plan((PlanStep("move"),))
+    assert str(replace(plan, above=0.111)).startswith("1 call, at most 12 % above the best\n")
+    assert str(replace(plan, above=0.0, is_best=True)).startswith("1 call, no plan is better\n")
+    assert str(replace(plan, above=1.5)).startswith("1 call\n")
+    assert solve(rooms()).plan == replace(solve(rooms()).plan or plan, above=None), "robots do not wait for it"
 
 
 # --- needless calls ------------------------------------------------------------------------------
