@@ -68,7 +68,7 @@ def lower_bound(problem: Problem, rates: ExpectedTimes | None, until: float) -> 
     metric = problem.metric if problem.metric and problem.metric.expression != ValueOf(TOTAL_TIME) else None
     is_time = metric is None and (problem.is_timed or (rates is not None and rates.are_measure(problem)))
     try:
-        relaxed = _Relaxation(problem, rates if is_time else None, until)
+        relaxed = _Relaxation(problem, rates if is_time and not problem.is_timed else None, until)
     except _NoBound:
         return -inf
     if not is_time:
