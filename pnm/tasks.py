@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 import logging
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import IntEnum
 from typing import Final, Protocol, TypeAlias
 from uuid import UUID
@@ -141,6 +141,35 @@ class Wanted:
     """The action by which it came, without namespaces; empty for none."""
 
 
+def percent(chance: float) -> str:
+    """Return a chance in words, with as many places as tell it from 0 and from 1."""
+    written = (f"{100.0 * chance:.{places}f}" for places in range(1, 5))
+    return f"{next((text for text in written if 0.0 < float(text) < 100.0), f'{100.0 * chance:g}')} %"
+
+
+@dataclass(frozen=True, slots=True)
+class TaskOdds:
+    """The odds of a goal, if nothing is planned anew: its chance; seconds to it in half of the runs that reach it, and in nine of ten."""
+
+    chance: float
+    median: float
+    ninety_percent: float
+    rests: str
+    """What they rest on, in words, such as "learned from 41 of move: move; assumed: grasp"."""
+
+    def after(self, seconds: float) -> TaskOdds:
+        """Return them some seconds later."""
+        return replace(self, median=max(0.0, self.median - seconds), ninety_percent=max(0.0, self.ninety_percent - seconds))
+
+    def as_json(self) -> dict[str, object]:
+        """Return them as programs get them."""
+        seconds = {"median": self.median, "ninety_percent": self.ninety_percent}
+        return {"chance": self.chance, "seconds": seconds, "rests_on": self.rests}
+
+    def __str__(self) -> str:
+        return f"{percent(self.chance)}, {self.median:.1f} s, {self.ninety_percent:.1f} s at most in 90 % of the runs"
+
+
 @dataclass(frozen=True, slots=True)
 class TaskStatus:
     """The status of a task now."""
@@ -161,6 +190,8 @@ class TaskStatus:
     """The last feedback of the server of each running call, on one line; empty for none."""
     code: Code | None = None
     """Its end; None while it is not over."""
+    odds: TaskOdds | None = None
+    """Those of what is left of its plan; None where they are not known."""
 
     @property
     def title(self) -> str:
@@ -240,6 +271,8 @@ class MadePlan:
     goal: str = ""
     """The goal that was planned for, in PDDL."""
     steps: tuple[TaskStep, ...] = ()
+    odds: TaskOdds | None = None
+    """Those of the plan; None where they are not known."""
 
 
 KeptTasks: TypeAlias = Iterable[tuple[Wanted, TaskEnding | None]]
@@ -328,8 +361,11 @@ class ServedWorld(Protocol):
     async def query(self, questions: Sequence[str], /) -> Sequence[tuple[str, str]]:
         """Return each question, a condition or a function in PDDL, with its answer as a text: all facts, if there are no questions."""
 
-    async def make(self, goal: str, planner: str, seconds: float | None, /) -> MadePlan:
-        """Search for a plan for a goal from the world as it is; cancelling this ends the planner. "" and None are the defaults."""
+    async def make(self, goal: str, planner: str, seconds: float | None, /, *, with_new_plans: bool = False) -> MadePlan:
+        """Search for a plan for a goal from the world as it is; cancelling this ends the planner. "" and None are the defaults.
+
+        Its odds, with or without new plans after failures, are there where something is known of the robots, or new plans are asked for.
+        """
 
     async def check_goal(self, goal: str, /) -> None:
         """Raise an error for a mistake in the goal of a task."""

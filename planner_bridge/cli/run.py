@@ -19,7 +19,7 @@ from planner_bridge.cli.options import ADOPT, GIVEN, Seconds, command
 from planner_bridge.cli.run_console import ConsoleObserver, print_result
 from planner_bridge.pipeline.achieve import Actions, achieve
 from planner_bridge.pipeline.carry_out import carry_out
-from planner_bridge.pipeline.loading import RATES, bindings_for, rates_for
+from planner_bridge.pipeline.loading import RATES, beside, bindings_for, rates_for
 from planner_bridge.pipeline.roll_outs import VettedPlan, odds_of_plan
 from planner_bridge.planning.solve import check_planner
 from planner_bridge.tasks.result import Stopwatch, TaskResult
@@ -143,7 +143,8 @@ def run(
     begin: Callable[..., TaskResult]
     vetted: VettedPlan | None = None
     learned = rates or (chosen if isinstance(chosen, Path) else chosen[0]).parent / RATES if learns else None
-    with looked_at(choice, view, timeline, learned, controlled, force=force) as (kept, page):
+    known_files = (rates or (None if isinstance(chosen, Path) else beside(chosen[0], RATES)), faults)
+    with looked_at(choice, view, timeline, learned, controlled, known_files, force=force) as (kept, page):
         if isinstance(chosen, Path):
             check_planner(planner)  # now, not when a plan is given up that took an hour
             settings = replace(settings, bindings=bindings_for(None, bindings, None) or DEFAULTS.bindings)
@@ -198,13 +199,21 @@ def journal_choice(place: Place, durability: str | None, *, adopts: bool) -> Jou
 
 @contextmanager
 def looked_at(
-    journal: JournalChoice | None, view: int | None, timeline: Path | None, rates: Path | None, controlled: Controlled, *, force: bool
+    journal: JournalChoice | None,
+    view: int | None,
+    timeline: Path | None,
+    rates: Path | None,
+    controlled: Controlled,
+    known: tuple[Path | None, Path | None] = (None, None),
+    *,
+    force: bool,
 ) -> Iterator[tuple[JournalChoice | None, PageProcess | None]]:
     """Show a run on a page while this is entered; at the end, draw its timeline and learn from it.
 
     Args:
         journal: that of the run, if it has one; where it is looked at it has one in any case, which is kept no longer than this.
         rates: the file of what is learned.
+        known: the files of the rates and of the faults by which the page shows odds.
 
     Yields:
         The journal, and the page.
@@ -220,7 +229,7 @@ def looked_at(
         if view is not None:
             page = stack.enter_context(PageProcess(view, controlled))
             options.announce(page)
-            page.follow(str(kept.place) if isinstance(kept.place, Path) else kept.place.text)
+            page.follow(str(kept.place) if isinstance(kept.place, Path) else kept.place.text, *known)
         yield kept, page
         if timeline is not None:
             from planner_bridge.view.story import timelines_svg  # here, because most runs are not drawn

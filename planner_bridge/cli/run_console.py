@@ -7,6 +7,7 @@ import re
 import sys
 from collections.abc import Iterable
 from contextlib import ExitStack
+from pathlib import Path
 from typing import Final, NamedTuple
 from uuid import UUID
 
@@ -334,22 +335,29 @@ class NodePage(NodeObserver):
 
     Args:
         given: the journal as it was given on the command line, with the password that others leave out; empty for none.
+
+    The mutable state is the file of its rates.
     """
 
     def __init__(self, page: PageProcess, given: str) -> None:
         self._page = page
         self._given = given
+        self._rates: Path | None = None
+
+    def rated(self, file: Path | None) -> None:
+        """Show odds by these rates."""
+        self._rates = file
 
     def journalled(self, place: str, going_on: int | None) -> None:
         """Show the journal."""
         if place:
-            self._page.follow(self._given or place)
+            self._page.follow(self._given or place, self._rates)
         else:
             print("view     there is no journal that could be shown", file=sys.stderr)
 
     def standing_by(self, place: str, holder: str) -> None:
         """Show the journal."""
-        self._page.follow(self._given or place)
+        self._page.follow(self._given or place, self._rates)
 
     def configured(self, tasks: Tasks, commands: TaskCommands, world: ServedWorld) -> None:
         """Have the page control the tasks, if it may."""

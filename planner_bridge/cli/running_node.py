@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 from math import inf
 from pathlib import Path
 from time import monotonic
+from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any, Final, TypeVar
 from uuid import UUID, uuid4
 
@@ -24,12 +25,12 @@ from planner_bridge.cli.options import command
 from planner_bridge.node.options import PARAMETERS
 from pnm.clock import run_async
 from pnm.core.machine.requests import OutcomeKind
-from pnm.errors import InputError
+from pnm.errors import InputError, PnmError
 from pnm.files.database.place import place_of
 from pnm.files.yaml_nodes import load_yaml
 from pnm.journal.kept import Fenced
 from pnm.ros.node.parameters import NodeParameter, ParameterValue
-from pnm.tasks import Code, OnConflict, TaskState, TraceEvent, TraceKind
+from pnm.tasks import Code, OnConflict, TaskOdds, TaskState, TraceEvent, TraceKind, percent
 
 if TYPE_CHECKING:
     from pnm.ros.node_client import NodeClient
@@ -185,14 +186,17 @@ def watch(namespace: str) -> int:
     show_default=True,
     help="what to do in conflict with other tasks",
 )
+@click.option(
+    "--odds", "least", type=click.FloatRange(0.0, 1.0), help="print the odds, and send it only with this chance at least; a terminal asks"
+)
 @namespace_option
 @options.as_json_option
 @command
-def goal(*, goal: str, priority: int, deadline: float | None, policy: str, namespace: str, as_json: bool) -> int:
+def goal(*, goal: str, priority: int, deadline: float | None, policy: str, least: float | None, namespace: str, as_json: bool) -> int:
     """Send a goal, and follow it to its end.
 
     GOAL is a condition in PDDL or the name of a goal; by default the goal of the node's problem.
-    Prints all events of the task. Ctrl-C cancels it.
+    Prints all events of the task. Ctrl-C cancels it. With --odds, the node makes a plan first, from the world as it is then.
     """
     console, task = SafeConsole(), uuid4()
     fields = {"goal": goal, "priority": priority, "deadline": deadline or 0.0, "policy": int(OnConflict[policy.upper()])}
@@ -212,11 +216,24 @@ def goal(*, goal: str, priority: int, deadline: float | None, policy: str, names
             finally:
                 printing.cancel()
 
+    odds = None
+    if least is not None:
+        made: Any = _with_node(namespace, lambda node: node.plan(goal))
+        odds = _odds_of(SimpleNamespace(**made.result["odds"])) if "odds" in made.result else None
+        words = f"{odds} ({odds.rests})" if odds else f"not known: {made.message}"
+        if not as_json:
+            console.print_text(words, "odds     ")
+        if odds is None or odds.chance < least:
+            wanted = f"expected {percent(least)} at least"
+            if as_json or not sys.stdin.isatty() or not click.confirm(f"{wanted}; send it all the same?"):
+                is_wrong = made.result.get("code") == Code.INVALID_GOAL
+                raise (InputError if is_wrong else PnmError)(f"the goal is not sent: its odds are {words}; {wanted}")
     outcome = _with_node(namespace, achieve)
     is_reached = outcome.kind is OutcomeKind.SUCCEEDED
     if as_json:
         trace = {"trace": [f"{event['word']} {event['subject']} {event['text']}".strip() for event in outcome.result.get("trace", ())]}
-        options.print_json({"task": str(task), "goal_reached": is_reached, **outcome.result, "message": outcome.message, **trace})
+        told = {"odds": odds.as_json()} if odds else {}
+        options.print_json({"task": str(task), "goal_reached": is_reached, **outcome.result, "message": outcome.message, **trace, **told})
     else:
         if is_reached:
             console.print_text("holds", "[bold green]goal[/]     ")
@@ -335,10 +352,13 @@ def _print_status(console: SafeConsole, message: Any) -> None:
     table = Table(box=None, pad_edge=False)
     for column in ("task", "state", "goal", "calls ended", "under way, and why"):
         table.add_column(column, overflow="fold")
-    for task in map(_task_data, message.tasks):
+    for status in message.tasks:
+        task, odds = _task_data(status), _odds_of(status.odds)
         calls = (": ".join(filter(None, said)) for said in zip(task["running"], task["feedback"], strict=True))
         why = "; ".join(filter(None, (", ".join(calls), task["reason"])))
         table.add_row(task["id"][:8], task["code"] or task["state"], task["goal"], str(task["ended"]), why)
+        if odds:
+            table.add_row("", "", "", "", f"odds {odds} ({odds.rests})", style="dim")
     console.print(table, soft_wrap=False)
 
 
@@ -354,7 +374,15 @@ def _task_data(task: Any) -> dict[str, Any]:
         "feedback": list(task.feedback),
         "ended": task.ended,
         "replans": task.replans,
+        "odds": odds.as_json() if (odds := _odds_of(task.odds)) else None,
     }
+
+
+def _odds_of(message: Any) -> TaskOdds | None:
+    """Read ``Odds``; None where they are not known."""
+    if message.chance < 0.0:
+        return None
+    return TaskOdds(message.chance, message.median, message.ninety_percent, message.rests_on)
 
 
 # --- serve ----------------------------------------------------------------------------------------

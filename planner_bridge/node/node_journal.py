@@ -2,20 +2,17 @@
 
 from __future__ import annotations
 
-import asyncio
 import logging
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import AsyncExitStack, suppress
 from functools import partial
 from hashlib import sha256
 from pathlib import Path
-from time import monotonic
 from typing import Any, Final
-from uuid import UUID
 
-from planner_bridge.explanations.learning import learn_into
 from planner_bridge.node.node_log import NodeObserver, standing_words
 from planner_bridge.node.options import Options
+from planner_bridge.pipeline.loading import RATES, beside
 from planner_bridge.tasks.result import TASKS
 from pnm.clock import continue_from
 from pnm.errors import InputError, PnmError, RosError
@@ -28,12 +25,10 @@ from pnm.journal.replay import Replay
 from pnm.journal.resume import stand_by, summaries
 from pnm.knowledge.source import SourceError
 from pnm.knowledge.sources import default_path
-from pnm.tasks import EVENTS, TaskEnding, TaskListener
+from pnm.tasks import EVENTS
 
 _log = logging.getLogger(__name__)
 
-_SPARED: Final = 20.0
-"""Times as long as the journal was read, it is not read again."""
 NONE: Final = "none"
 """In place of a file: nothing is kept."""
 SUFFIX: Final = ".journal"
@@ -134,6 +129,7 @@ async def resume(
         origin: a digest of what its world is made from.
         fenced: called when another node has taken the journal over.
     """
+    observer.rated(options.rates or beside(options.domain, RATES))
     if place is None:
         observer.journalled("", None)
         return NO_JOURNAL, None
@@ -154,43 +150,3 @@ async def resume(
     if replay:
         continue_from(replay.now)
     return journal, replay
-
-
-class Learner(TaskListener):
-    """Adds to a file of rates what the journal tells, when a task is over: in a thread, for a twentieth of the time at most.
-
-    The mutable state is the task that does so, and whether another task has ended since it has begun to read.
-    """
-
-    def __init__(self, place: Place, rates: Path) -> None:
-        self._place, self._rates = place, rates
-        self._ended = asyncio.Event()
-        self._attending = asyncio.ensure_future(self._attend())
-
-    def ended(self, task: UUID, ending: TaskEnding) -> None:
-        """Learn from it."""
-        self._ended.set()
-
-    async def close(self) -> None:
-        """Learn from what has ended, and no more."""
-        self._attending.cancel()
-        await asyncio.gather(self._attending, return_exceptions=True)
-        if self._ended.is_set():
-            await self._learn()
-
-    async def _attend(self) -> None:
-        while True:
-            await self._ended.wait()
-            began = monotonic()
-            await self._learn()
-            await asyncio.sleep(_SPARED * (monotonic() - began))
-
-    async def _learn(self) -> None:
-        try:
-            self._ended.clear()
-            await asyncio.to_thread(learn_into, self._rates, self._place)
-        except asyncio.CancelledError:  # it may not have been read to the end
-            self._ended.set()
-            raise
-        except PnmError as error:
-            EVENTS.warning("nothing was learned: %s", error)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Awaitable, Callable, Iterable
 from contextlib import AsyncExitStack
+from pathlib import Path
 from time import monotonic
 from typing import TYPE_CHECKING, Any
 
@@ -38,6 +39,9 @@ class NodeObserver:
 
     def standing_by(self, place: str, holder: str) -> None:
         """Note that another process holds the journal, and that it is waited for."""
+
+    def rated(self, file: Path | None) -> None:
+        """Note the file of rates; None if there is none. This comes before the journal."""
 
     def journalled(self, place: str, going_on: int | None) -> None:
         """Note where tasks are kept, empty if nowhere, and how many of another process go on; None if none has kept anything there."""

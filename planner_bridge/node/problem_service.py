@@ -22,9 +22,12 @@ from planner_bridge.node.world_queries import SharedWorld
 from planner_bridge.ordering.plan_to_graph import plan_graph
 from planner_bridge.pddl import parse_domain, parse_problem, read_domain, read_problem
 from planner_bridge.pddl.reader import MAX_BYTES
+from planner_bridge.pipeline.odds import KnownRobots
+from planner_bridge.pipeline.roll_outs import SECONDS, odds_of_goal
 from planner_bridge.planning.solve import solve
 from planner_bridge.tasks.result import code_of_planning
 from planner_bridge.tasks.settings import Settings
+from pnm.actions.faults import NO_FAULTS
 from pnm.clock import in_own_thread
 from pnm.core.knowledge_base import KnowledgeBase
 from pnm.core.logic.conditions import Condition
@@ -127,7 +130,7 @@ class ServedProblem:
         """Return the goal that a text or a name stands for."""
         return self.problem_world.read_goal(text)
 
-    async def make(self, goal: str, planner: str, seconds: float | None, /) -> MadePlan:
+    async def make(self, goal: str, planner: str, seconds: float | None, /, *, with_new_plans: bool = False) -> MadePlan:
         """Search for a plan for a goal, as its text or its name, from the current state; cancelling this ends the planner.
 
         Plan requests have their turns: a search takes a processor, which robots need. The settings have the planner and the time limit
@@ -160,7 +163,11 @@ class ServedProblem:
                     )
                     for number, step in enumerate(result.plan.steps)
                 )
-                return MadePlan(Code.GOAL_REACHED, f"found by {result.planner}", str(problem.goal), steps)
+                rates, odds = settings.learned, None
+                if with_new_plans or KnownRobots(rates):
+                    limit = SECONDS if with_new_plans else 0.0
+                    odds = odds_of_goal(problem, result.plan, settings, NO_FAULTS, rates, seconds=limit).told
+                return MadePlan(Code.GOAL_REACHED, f"found by {result.planner}", str(problem.goal), steps, odds)
 
             try:
                 return await in_own_thread(search)

@@ -12,12 +12,13 @@ from typing import TYPE_CHECKING, Any, Final
 from planner_bridge.model.problem import Problem
 from planner_bridge.node.fleet import FleetManager, open_fleet
 from planner_bridge.node.node_context import NodeContext, open_context
-from planner_bridge.node.node_journal import Learner
 from planner_bridge.node.node_log import NodeObserver, open_diagnoses
 from planner_bridge.node.options import PARAMETERS, Options
 from planner_bridge.node.problem_service import NOTHING, ProblemFolder, ServedProblem
+from planner_bridge.node.spare_time import Foreteller, Learner, SpareTime
 from planner_bridge.node.world_queries import SharedWorld, read_goals
 from planner_bridge.pipeline.loading import RATES, rates_for
+from planner_bridge.pipeline.odds import KnownRobots
 from planner_bridge.tasks.replanning import Limits
 from planner_bridge.tasks.settings import DEFAULTS, Settings
 from planner_bridge.tasks.task_manager import TaskLimits, TaskManager
@@ -236,12 +237,16 @@ class ServingNode:
         await open_diagnoses(stack, self._ros, look, manager, lambda: self._state, self._clock, runner.journal, self._options)
         self._observer.configured(manager, self._node, world)
 
+        beside_tasks: list[SpareTime] = []
         if self._options.learn and context.place is not None:
             beside = self._options.domain or self._options.world
             assert beside is not None
-            learner = Learner(context.place, self._options.rates or beside.parent / RATES)
-            manager.listen(learner)
-            stack.push_async_callback(learner.close)
+            beside_tasks.append(Learner(context.place, self._options.rates or beside.parent / RATES))
+        if self._options.odds and (known := KnownRobots(manager.settings.learned)):
+            beside_tasks.append(Foreteller(manager, known))
+        for work in beside_tasks:
+            manager.listen(work)
+            stack.push_async_callback(work.close)
 
         # The stack closes in reverse: first the node, which gives tasks their time to end and answers all goals; then the task manager.
         async def close() -> None:  # tasks that have not ended by now are left alone

@@ -15,6 +15,7 @@ from pnm.errors import InputError, Tolerated
 
 if TYPE_CHECKING:
     from planner_bridge.model.rates import Rates
+    from planner_bridge.pipeline.odds import KnownRobots
     from pnm.core.machine.bindings import Bindings
 
 BINDINGS: Final = "bindings.yaml"
@@ -76,6 +77,16 @@ def rates_for(domain: Path | None, file: Path | None, *, grows: bool = False) ->
     from planner_bridge.model.rates import read_rates
 
     return read_rates(chosen)
+
+
+def known_from(rates: str | None, faults: str | None) -> KnownRobots:
+    """Return what is known of robots by files, whose actions may have any name."""
+    from planner_bridge.pipeline.odds import NOTHING_KNOWN, KnownRobots
+    from pnm.actions.faults import read_faults
+
+    learned = rates_for(None, Path(rates), grows=True) if rates else None
+    declared = read_faults(Path(faults), None) if faults else NOTHING_KNOWN.faults
+    return KnownRobots(learned or NOTHING_KNOWN.rates, declared)
 
 
 def warning_lines(warnings: Iterable[Tolerated]) -> Iterator[str]:

@@ -10,24 +10,29 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import Enum
+from graphlib import CycleError, TopologicalSorter
 from math import isinf, prod
 from operator import add
 from random import Random
 from typing import Any, Final, TypeAlias
 
 from planner_bridge.model.progression import NotApplicable, Progression, snapshot
-from planner_bridge.model.rates import Call, End, Rates, wilson
-from pnm.actions.faults import Fault, FaultKind, Faults
+from planner_bridge.model.rates import NO_RATES, Call, End, Rates, wilson
+from pnm.actions.faults import NO_FAULTS, Fault, FaultKind, Faults
 from pnm.actions.simulated_robots import LAG, SLOWNESS
+from pnm.core.execution.call_results import CallResult
+from pnm.core.execution.run_view import RunView
 from pnm.core.knowledge_base import KnowledgeBase
 from pnm.core.logic.conditions import evaluate
 from pnm.core.logic.effects import names_written
 from pnm.core.logic.expressions import Fluent, fluent_text, is_number
-from pnm.core.machine.bindings import Bindings, WhenLost
+from pnm.core.machine.bindings import Bindings, WhenLost, is_open
 from pnm.core.machine.failure_causes import Cause
 from pnm.core.machine.plan_graph import ActionCall, GroundAction, Moment, PlanEvent, PlanGraph, necessary
+from pnm.core.machine.requests import CallOutcome
+from pnm.tasks import TaskOdds, percent
 
 DRAWS: Final = 1000
 """Draws of the time of a plan."""
@@ -35,6 +40,11 @@ WEAKEST: Final = 3
 """Calls that are named as the weakest, at most."""
 _INTERVAL_DRAWS: Final = 400
 """Draws of chances that were estimated."""
+_DRAWS_OF_CALLS: Final = 20_000
+"""Draws of all calls together of what is left of a plan while it is carried out, and `_LEAST_DRAWS` of each."""
+_LEAST_DRAWS: Final = 50
+_AS_PLANNED: Final = {CallOutcome.WAITING, CallOutcome.RUNNING, CallOutcome.SUSPENDED, CallOutcome.SUCCEEDED, CallOutcome.ALREADY_TRUE}
+"""What becomes of calls as long as nothing else has to follow than their plan."""
 
 
 class Leads(Enum):
@@ -97,28 +107,46 @@ Attempts: TypeAlias = Callable[[GroundAction], AttemptOdds | None]
 
 @dataclass(frozen=True, slots=True)
 class CallOdds:
-    """A call, what is known of each of its attempts, and how many more the budget pays for."""
+    """A call, what is known of each of its attempts, and how many more the budget pays for.
+
+    Args:
+        resources: that it has for itself while it is under way.
+        began: seconds from now, so not above 0; None before it begins.
+        ended: likewise, with success; None before.
+        at_work: seconds for which a server has been at work on it.
+    """
 
     call: ActionCall
     attempt: AttemptOdds
     retries: int
+    resources: tuple[str, ...] = ()
+    began: float | None = None
+    ended: float | None = None
+    at_work: float = 0.0
 
     def chance(self, more: int = 0) -> float:
         """Return the chance of its success, with so many retries more than it has."""
+        if self.ended is not None:
+            return 1.0
         return _success(self.attempt.chance(Leads.DONE), self.attempt.chance(Leads.AGAIN), self.retries + more)
 
     def draws(self, random: Random, count: int) -> list[float]:
-        """Draw the seconds of the call, given that it succeeds: in as many draws after each number of failures as is due to it."""
+        """Draw the seconds of the call, given that it succeeds: in as many draws after each number of failures as is due to it.
+
+        Of one that is at work those that are left: if it has taken longer than ever, as many again as it is late.
+        """
         lasted, again = self.attempt.draws(Leads.DONE, random, count), self.attempt.chance(Leads.AGAIN)
-        if not (again and self.retries):
+        if again and self.retries:
+            before = [again**tries for tries in range(self.retries + 1)]
+            late = [int(count * sum(before[tries:]) / sum(before) + random.random()) for tries in range(1, self.retries + 1)]
+            places, wasted = random.sample(range(count), late[0]), iter(self.attempt.draws(Leads.AGAIN, random, sum(late)))
+            for number in late:  # of draws in which so many attempts fail, or more
+                for place in places[:number]:
+                    lasted[place] += next(wasted)
+        if not self.at_work:
             return lasted
-        before = [again**tries for tries in range(self.retries + 1)]
-        late = [int(count * sum(before[tries:]) / sum(before) + random.random()) for tries in range(1, self.retries + 1)]
-        places, wasted = random.sample(range(count), late[0]), iter(self.attempt.draws(Leads.AGAIN, random, sum(late)))
-        for number in late:  # of draws in which so many attempts fail, or more
-            for place in places[:number]:
-                lasted[place] += next(wasted)
-        return lasted
+        left = [time - self.at_work for time in lasted if time > self.at_work] or [self.at_work - max(lasted)]
+        return [left[number % len(left)] for number in range(count)]
 
 
 def _success(done: float, again: float, retries: int) -> float:
@@ -182,12 +210,6 @@ class Odds:
         return Odds(sure + (1.0 - sure) * share, between, tuple(sorted(times)), ends, runs)
 
 
-def percent(chance: float) -> str:
-    """Return a chance in words, with as many places as tell it from 0 and from 1."""
-    written = (f"{100.0 * chance:.{places}f}" for places in range(1, 5))
-    return f"{next((text for text in written if 0.0 < float(text) < 100.0), f'{100.0 * chance:g}')} %"
-
-
 def odds_of_calls(graph: PlanGraph, bindings: Bindings, attempts: Attempts) -> tuple[CallOdds, ...] | None:
     """Return the odds of the calls of a plan; None if they depend on each other, on conditions, or on the time."""
     found: list[CallOdds] = []
@@ -199,7 +221,9 @@ def odds_of_calls(graph: PlanGraph, bindings: Bindings, attempts: Attempts) -> t
         attempt = attempts(step.action) if step.action.operation is None else _CERTAIN
         if attempt is None:
             return None
-        found.append(CallOdds(step, attempt, bindings.of(step.action.name).retries if step.retries is None else step.retries))
+        retries = bindings.of(step.action.name).retries if step.retries is None else step.retries
+        resources = tuple(name for name in bindings.resources(step.action) if not is_open(name))
+        found.append(CallOdds(step, attempt, retries, resources))
     return tuple(found)
 
 
@@ -247,23 +271,101 @@ def interval(calls: tuple[CallOdds, ...]) -> tuple[float, float] | None:
     return _quantile(chances, 0.025), _quantile(chances, 0.975)
 
 
-def times(graph: PlanGraph, calls: tuple[CallOdds, ...]) -> list[float]:
-    """Draw the time of the plan, with the same random numbers every time."""
-    random = Random(0)
-    waits: dict[PlanEvent, list[tuple[PlanEvent, float]]] = {}
+def times(graph: PlanGraph, calls: tuple[CallOdds, ...], count: int = DRAWS, began: float = 0.0) -> list[float]:
+    """Draw the time until the plan is carried out, with the same random numbers every time; nothing if that can never be.
+
+    Calls that need the same resource take turns, in the order of the plan.
+
+    Args:
+        count: of draws.
+        began: seconds from now, so not above 0.
+    """
+    random, last = Random(0), dict[str, PlanEvent]()
+    waits: dict[PlanEvent, list[tuple[PlanEvent, float]]] = {event: [] for event in graph.order}
     for ordering in necessary(graph.flow):
-        waits.setdefault(ordering.after, []).append((ordering.before, ordering.delay))
+        waits[ordering.after].append((ordering.before, ordering.delay))
+    for event in (event for event in graph.order if event.moment is Moment.START):
+        waits[event] += [(last[name], 0.0) for name in calls[event.call].resources if name in last]
+        last |= dict.fromkeys(calls[event.call].resources, PlanEvent(event.call, Moment.END))
+    sorter = TopologicalSorter({event: [one for one, _ in before] for event, before in waits.items()})
+    for call in range(len(calls)):
+        sorter.add(PlanEvent(call, Moment.END), PlanEvent(call, Moment.START))
     at: dict[PlanEvent, list[float]] = {}
-    for event in graph.order:
-        before = [[time + delay for time in at[one]] if delay else at[one] for one, delay in waits.get(event, ())]
-        odds = calls[event.call]
-        if event.moment is Moment.END:
-            before.append(list(map(add, at[PlanEvent(event.call, Moment.START)], odds.draws(random, DRAWS))))
-        elif odds.call.earliest or not before:
-            before.append([odds.call.earliest] * DRAWS)
+    try:
+        order = tuple(sorter.static_order())
+    except CycleError:  # calls that have to overlap need the same resource
+        return []
+    for event in order:
+        before = [[time + delay for time in at[one]] if delay else at[one] for one, delay in waits[event]]
+        odds, is_end = calls[event.call], event.moment is Moment.END
+        if (known := odds.ended if is_end else odds.began) is not None:
+            at[event] = [known] * count
+            continue
+        if is_end:
+            since = [0.0] * count if odds.began is not None else at[PlanEvent(event.call, Moment.START)]
+            before.append(list(map(add, since, odds.draws(random, count))))
+        else:
+            before.append([max(0.0, odds.call.earliest + began)] * count)
         at[event] = list(map(max, *before)) if len(before) > 1 else before[0]
-    over = [at[event] for event in at if event.moment is Moment.END]
-    return list(map(max, [graph.due] * DRAWS, *over))
+    due = [max(0.0, graph.due + began)] * count
+    return list(map(max, due, due, *(at[event] for event in at if event.moment is Moment.END)))
+
+
+@dataclass(frozen=True)
+class RestOfPlan:
+    """How far a run has come.
+
+    Args:
+        results: of its calls, by number.
+        accepted: when servers took on what is under way.
+        origin: the time from which its plan counts.
+        now: the time on the same clock.
+    """
+
+    graph: PlanGraph
+    bindings: Bindings
+    results: Mapping[int, CallResult]
+    accepted: Mapping[int, float]
+    origin: float
+    now: float
+
+    @staticmethod
+    def of(run: RunView, since: float) -> RestOfPlan:
+        """Return how far a run has come, at the time of the last event of its calls, or since when it is so at least."""
+        plan = run.machine.plan
+        calls = [run.result_of(call.index) for call in plan.calls]
+        accepted = {request.call.index: request.accepted for request in run.under_way()}
+        events = [time for call in calls for time in (call.started, call.ended) if time is not None]
+        now = max(since, run.origin or since, *events, *accepted.values())
+        results = {result.call.index: result for result in calls}
+        return RestOfPlan(plan, run.bindings, results, accepted, now if run.origin is None else run.origin, now)
+
+    def odds(self, known: KnownRobots) -> GoalOdds | None:
+        """Return the odds of what is left of its plan; None if there are none, or something has failed, and something else follows.
+
+        The more calls are left, the fewer draws each has.
+        """
+        is_timed = any(call.action.duration is not None for call in self.graph.calls)
+        found = odds_of_calls(self.graph, self.bindings, known.attempts(self.bindings, is_timed=is_timed))
+        if found is None or not {result.kind for result in self.results.values()} <= _AS_PLANNED:
+            return None
+
+        def left_of(odds: CallOdds) -> CallOdds:
+            if (result := self.results[odds.call.index]).kind is CallOutcome.WAITING:
+                return odds
+            began = 0.0 if result.started is None else result.started - self.now
+            if result.is_done:
+                return replace(odds, began=began, ended=0.0 if result.ended is None else result.ended - self.now)
+            at_work = self.now - self.accepted.get(odds.call.index, self.now)
+            spent = result.attempts - (result.kind is not CallOutcome.SUSPENDED)
+            return replace(odds, began=began, retries=max(0, odds.retries - spent), at_work=at_work)
+
+        calls = tuple(map(left_of, found))
+        left = tuple(call for call in calls if call.ended is None)
+        chance = prod(call.chance() for call in left)
+        count = max(_LEAST_DRAWS, min(DRAWS, _DRAWS_OF_CALLS // max(1, len(left))))
+        lasts = tuple(sorted(times(self.graph, calls, count, self.origin - self.now))) if chance else ()
+        return GoalOdds(Odds(chance, (chance, chance), lasts), None, left)
 
 
 # --- what attempts rest on -----------------------------------------------------------------------
@@ -336,6 +438,30 @@ def played(attempts: Attempts) -> Faults:
     return Faults(drawn=drawn)
 
 
+@dataclass(frozen=True)
+class KnownRobots:
+    """What is known of the attempts of robots: what simulated ones declare, if there is that; else what is learned of real ones."""
+
+    rates: Rates = NO_RATES
+    faults: Faults = NO_FAULTS
+
+    def __bool__(self) -> bool:
+        return self.faults != NO_FAULTS or self.rates != NO_RATES
+
+    def attempts(self, bindings: Bindings, *, is_timed: bool) -> Attempts:
+        """Return the odds of attempts; what is not known of an action is assumed. Where nothing is timed, an action takes a second."""
+        if self.faults != NO_FAULTS:
+            return declared(self.faults, bindings, 0.0 if is_timed else 1.0)
+        return learned(self.rates, bindings)
+
+    def world(self, attempts: Attempts) -> Faults:
+        """Return the faults of simulated robots whose attempts have these odds."""
+        return self.faults if self.faults != NO_FAULTS else played(attempts)
+
+
+NOTHING_KNOWN: Final = KnownRobots()
+
+
 # --- all that is known of a goal -----------------------------------------------------------------
 
 
@@ -380,6 +506,14 @@ class GoalOdds:
         for call in self.calls:
             found.setdefault(call.attempt.rests, {})[call.call.action.name] = None
         return {rests: [*actions] for rests, actions in found.items()}
+
+    @property
+    def told(self) -> TaskOdds | None:
+        """Them as tasks have them; None if there was no time for any."""
+        if (best := self.best) is None:
+            return None
+        median, most = (best.time(share) if best.times else 0.0 for share in (0.5, 0.9))
+        return TaskOdds(best.chance, median, most, "; ".join(f"{rests}: {', '.join(actions)}" for rests, actions in self.rests.items()))
 
     def refusal(self, least: float) -> str:
         """Return why a plan does not begin that needs this chance at least; empty if it may."""

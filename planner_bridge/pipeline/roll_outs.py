@@ -19,10 +19,10 @@ from planner_bridge.model.world import simulated_backend
 from planner_bridge.ordering.plan_to_graph import plan_graph
 from planner_bridge.pipeline.carry_out import carry_out
 from planner_bridge.pipeline.goal_handle import GoalHandle
-from planner_bridge.pipeline.odds import GoalOdds, Odds, declared, exact, learned, odds_of_calls, played
+from planner_bridge.pipeline.odds import GoalOdds, KnownRobots, Odds, exact, odds_of_calls
 from planner_bridge.tasks.result import Stopwatch, TaskResult
 from planner_bridge.tasks.settings import Memory, ProvedMachine, Settings, TaskObserver
-from pnm.actions.faults import NO_FAULTS, Faults
+from pnm.actions.faults import Faults
 from pnm.clock import run_async
 from pnm.core.knowledge_base import KnowledgeBase
 from pnm.core.logic.expressions import Fluent, is_number
@@ -47,13 +47,13 @@ def odds_of_goal(
         most: roll-outs.
     """
     bindings, graph = settings.bindings, plan_graph(problem, plan)
-    is_declared = faults != NO_FAULTS
-    attempts = declared(faults, bindings, 0.0 if problem.is_timed else 1.0) if is_declared else learned(rates, bindings)
+    known = KnownRobots(rates, faults)
+    attempts = known.attempts(bindings, is_timed=problem.is_timed)
     calls = odds_of_calls(graph, bindings, attempts)
     alone = None if calls is None else exact(graph, calls, initial_knowledge(problem))
     if not seconds or (alone and (alone.chance == 1.0 or not settings.limits.replans)):
         return GoalOdds(alone, None, calls or ())
-    world, memory = faults if is_declared else played(attempts), RememberedPlans(problem, plan, time.process_time() + seconds)
+    world, memory = known.world(attempts), RememberedPlans(problem, plan, time.process_time() + seconds)
     chosen = replace(settings, improve=0.0, memory=memory, ask_for_help=False)
 
     def run(number: int) -> tuple[TaskResult, KnowledgeBase] | None:
@@ -78,13 +78,13 @@ def odds_of_plan(
     """Return the odds of a hand-written plan; people who are asked something do not answer. The rest is as in `odds_of_goal`."""
     plans = read_plans(file)
     plan = plans[chosen_plan(plans, name)]
-    bindings, is_declared = settings.bindings.before(plan.bindings), faults != NO_FAULTS
-    attempts = declared(faults, bindings, 1.0) if is_declared else learned(rates, bindings)
+    bindings, known = settings.bindings.before(plan.bindings), KnownRobots(rates, faults)
+    attempts = known.attempts(bindings, is_timed=False)
     calls = odds_of_calls(plan.graph, bindings, attempts)
     alone = None if calls is None else exact(plan.graph, calls, initial_knowledge(plan))
     if alone or not seconds:  # without recoveries of its own nothing is planned anew
         return GoalOdds(alone, None, calls or ())
-    world, chosen = faults if is_declared else played(attempts), replace(settings, ask_for_help=False)
+    world, chosen = known.world(attempts), replace(settings, ask_for_help=False)
 
     def run(number: int) -> tuple[TaskResult, None]:
         return carry_out(file, name, parameters, faults=replace(world, seed=number), settings=chosen), None
@@ -177,8 +177,7 @@ class VettedPlan(Memory):
     @staticmethod
     def where_known(settings: Settings, faults: Faults, rates: Rates, least: float | None) -> VettedPlan | None:
         """Return one for a task with these settings; None if no chance is asked for, and none is known."""
-        is_known = faults != NO_FAULTS or rates != NO_RATES
-        return None if least is None and not is_known else VettedPlan(settings, faults, rates, least)
+        return None if least is None and not KnownRobots(rates, faults) else VettedPlan(settings, faults, rates, least)
 
     def plan(self, problem: Problem, timeout: float, search: Callable[[float], PlanningResult]) -> PlanningResult:
         """Return what the search finds; no plan, and why, if the odds of the first one are too low."""

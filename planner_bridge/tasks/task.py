@@ -26,7 +26,20 @@ from pnm.core.net.net import Marking
 from pnm.errors import counted
 from pnm.journal.journal import Journal
 from pnm.journal.replay import ReplayedTask
-from pnm.tasks import EVENTS, Code, StepState, TaskEnding, TaskListener, TaskState, TaskStatus, TaskStep, TraceEvent, TraceKind, Wanted
+from pnm.tasks import (
+    EVENTS,
+    Code,
+    StepState,
+    TaskEnding,
+    TaskListener,
+    TaskOdds,
+    TaskState,
+    TaskStatus,
+    TaskStep,
+    TraceEvent,
+    TraceKind,
+    Wanted,
+)
 
 TRACE: Final = 200
 """The events of a task that are kept, the last ones."""
@@ -102,6 +115,8 @@ class Task(TaskObserver):
     """The time of its arrival."""
     replanned: str = ""
     """The time and the reason of the last new plan."""
+    odds: tuple[TaskOdds, float] | None = None
+    """Those of what is left of its plan, and the time at which they were so."""
     is_abandoned: bool = False
     """Whether it was left alone because it could not be ended in order."""
 
@@ -169,6 +184,7 @@ class Task(TaskObserver):
             wanted.parameters,
             tuple(feedback for _, feedback in under_way),
             self.ending.code if self.ending else None,
+            self.odds[0].after(self.clock() - self.odds[1]) if self.odds and self.ending is None else None,
         )
 
     @property

@@ -13,6 +13,7 @@ from collections.abc import Callable, Collection, Coroutine, Iterable
 from dataclasses import dataclass, replace
 from functools import partial
 from time import time
+from typing import Final
 from uuid import UUID
 
 from planner_bridge.model.grounding import later, problem_now
@@ -25,6 +26,7 @@ from planner_bridge.tasks.task import StartTask, Task
 from planner_bridge.tasks.task_start import TaskText, read_text, start_of
 from pnm.clock import stop_then_cancel
 from pnm.core.execution.events import broadcast
+from pnm.core.execution.run_view import RunView
 from pnm.core.knowledge_base import Layered
 from pnm.core.logic.conditions import Condition
 from pnm.core.machine.machine import PetriNetMachine
@@ -44,6 +46,7 @@ from pnm.tasks import (
     OnConflict,
     TaskEnding,
     TaskListener,
+    TaskOdds,
     TaskRefused,
     TaskState,
     TaskStatus,
@@ -78,7 +81,7 @@ class TaskManager:
         limits: TaskLimits | None = None,
     ) -> None:
         self._runner = runner
-        self._settings = settings
+        self.settings: Final = settings
         self._read_goal = read_goal
         self._helper = helper
         self._limits = limits or TaskLimits()
@@ -241,6 +244,16 @@ class TaskManager:
     def net(self, task: UUID, /) -> tuple[int, PetriNetMachine, Marking] | None:
         """Return the number of nets that the task has had before, the net that it has now, and its marking."""
         return self._tasks[task].net if task in self._tasks else None
+
+    def run_of(self, task: UUID) -> RunView | None:
+        """Return the run of a task; None while it has none."""
+        return self._tasks[task].control.run if task in self._tasks else None
+
+    def foretell(self, task: UUID, odds: TaskOdds | None, at: float) -> None:
+        """Note the odds of what is left of the plan of a task, and the time at which they are so."""
+        if task in self._tasks:
+            self._tasks[task].odds = (odds, at) if odds else None
+            self._listener.changed(task)
 
     def listen(self, listener: TaskListener, /) -> Callable[[], None]:
         """Have a listener listen from now on; return what stops that."""
@@ -427,7 +440,7 @@ class TaskManager:
             replace(later(self._problem, self._elapsed(since)), goal=goal),
             kept.runs[-1].run.knowledge if kept and kept.runs else Layered(runner.world),
             runner,
-            replace(self._settings, on_change=on_change or self._settings.on_change),
+            replace(self.settings, on_change=on_change or self.settings.on_change),
             self._helper,
             self._preemption,
             task.wanted.on_conflict or self._limits.on_conflict,

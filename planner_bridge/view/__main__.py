@@ -37,10 +37,13 @@ def main() -> int:
     token = secrets.token_urlsafe(32)
     _write(url_of(opened) + ("" if controlled is Controlled.NOTHING else f"/#token={token}"))
     if line := sys.stdin.readline():
-        from planner_bridge.view.app import Channel, Control, serve_page  # here, because what it needs is an extra, which is there by now
+        # here, because what it needs is an extra, which is there by now
+        from planner_bridge.pipeline.loading import known_from
+        from planner_bridge.view.app import Channel, Control, serve_page
 
-        channel = Channel(_write)
-        serve_page(place_of(json.loads(line)), opened, lambda: _left_alone(channel), Control(controlled, token, channel))
+        channel, told = Channel(_write), json.loads(line)
+        control, known = Control(controlled, token, channel), known_from(told["rates"], told["faults"])
+        serve_page(place_of(told["journal"]), opened, lambda: _left_alone(channel), control, known)
     return 0
 
 

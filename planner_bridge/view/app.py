@@ -27,6 +27,7 @@ from starlette.routing import Mount, Route
 from starlette.staticfiles import StaticFiles
 from starlette.types import ASGIApp, Receive, Scope, Send
 
+from planner_bridge.pipeline.odds import NOTHING_KNOWN, KnownRobots
 from planner_bridge.view.follow import Feed, Reader
 from planner_bridge.view.serving import MAX_TEXT, Controlled, Reply
 from planner_bridge.view.story import Story, Thing, View, detail, view_of
@@ -373,9 +374,15 @@ NO_CONTROL: Final = Control(Controlled.NOTHING, "", Channel(lambda _: None))
 
 
 def serve_page(
-    place: Place, opened: socket.socket, ended: Callable[[], Awaitable[object]] | None = None, control: Control = NO_CONTROL
+    place: Place,
+    opened: socket.socket,
+    ended: Callable[[], Awaitable[object]] | None = None,
+    control: Control = NO_CONTROL,
+    known: KnownRobots = NOTHING_KNOWN,
 ) -> None:
     """Serve the page of a journal at a socket until a signal ends it, or `ended` does; without `control` nothing can be controlled.
+
+    What is known of robots gives odds.
 
     A second signal, and one during a page that is slow, leave at once.
     """
@@ -387,7 +394,7 @@ def serve_page(
             await feed.close()
             await super().shutdown(sockets)
 
-    reader, past = Reader(place), Reader(place)
+    reader, past = Reader(place, known), Reader(place, known)
     feed = Feed(reader)
     app = ViewApp(place, feed, past, control)
     config = uvicorn.Config(

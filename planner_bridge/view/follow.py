@@ -16,6 +16,7 @@ from math import inf
 from threading import Lock
 from typing import Final, TypeVar
 
+from planner_bridge.pipeline.odds import NOTHING_KNOWN, KnownRobots
 from planner_bridge.tasks.result import TASKS
 from planner_bridge.view.story import Story, View, view_of
 from pnm.errors import PnmError
@@ -37,11 +38,12 @@ _log = logging.getLogger(__name__)
 class Reader:
     """Reads a journal, which need not be there yet. Any thread may call; one at a time is served.
 
-    The mutable state is the story so far, and what is shown of it.
+    What is known of robots gives odds. The mutable state is the story so far, and what is shown of it.
     """
 
-    def __init__(self, place: Place) -> None:
+    def __init__(self, place: Place, known: KnownRobots = NOTHING_KNOWN) -> None:
         self._place = place
+        self._known = known
         self._lock = Lock()
         self._kept: KeptJournal | None = None
         self._story: Story | None = None
@@ -100,7 +102,7 @@ class Reader:
         """Begin a story that reaches back to the segment before that of a record, and to the beginnings of the tasks that went on there."""
         segments = kept.segments()
         self._stuck = None
-        self._story = Story(lambda key: TASKS.value(kept.part(key)))
+        self._story = Story(lambda key: TASKS.value(kept.part(key)), self._known)
         if segments:
             before, since = segments[max(0, bisect_right(segments, number) - 2)], 0
             with suppress(PnmError):  # which whoever replays it raises with its place

@@ -16,6 +16,7 @@ from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
 from enum import Enum
+from pathlib import Path
 from types import TracebackType
 from typing import Any, Final
 from uuid import UUID, uuid4
@@ -278,11 +279,11 @@ class PageProcess:
             raise InputError(self.url or "the page could not be started")
         self._reader.start()
 
-    def follow(self, journal: str) -> None:
-        """Show a journal, which need not be there yet; the first one that is named counts."""
+    def follow(self, journal: str, rates: Path | None = None, faults: Path | None = None) -> None:
+        """Show a journal, which need not be there yet, and odds by rates or by faults, if there are some; what is named first counts."""
         if not self._is_told:
             self._is_told = True
-            self._write(journal)
+            self._write({"journal": journal, "rates": rates and str(rates), "faults": faults and str(faults)})
 
     def operate(self, operator: Operator) -> None:
         """Have an operator carry out, on the event loop that runs here, what people want on the page from now on."""

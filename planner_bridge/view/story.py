@@ -19,6 +19,7 @@ from typing import Any, Final, TypeAlias
 from uuid import UUID
 
 from planner_bridge.explanations.history import Attempt, JournalHistory, RunHistory, TaskHistory, Trouble
+from planner_bridge.pipeline.odds import NOTHING_KNOWN, KnownRobots, RestOfPlan
 from planner_bridge.tasks.replanning import decision_words
 from pnm.core.execution.call_results import CallResult, Failure
 from pnm.core.execution.events import Answered, Ask, Restarted, Withdraw
@@ -33,7 +34,7 @@ from pnm.errors import PnmError
 from pnm.files.database.place import Place, place_of
 from pnm.journal import records
 from pnm.journal.replay import ReplayStep, words
-from pnm.tasks import TaskState
+from pnm.tasks import TaskState, percent
 
 EVENTS: Final = 200
 """Records that are shown in words, besides those that are marked."""
@@ -78,8 +79,9 @@ class View:
 class Story(JournalHistory):
     """The story of a journal so far. Everything in it is mutable state; `apply` is the only thing that changes it."""
 
-    def __init__(self, source: Callable[[str], records.MachineSource] | None = None) -> None:
+    def __init__(self, source: Callable[[str], records.MachineSource] | None = None, known: KnownRobots = NOTHING_KNOWN) -> None:
         super().__init__(source, _SEGMENTS)
+        self._robots = known
         self.facts: Mapping[str, Thing] = {}
         """A new mapping whenever one of them changes."""
         self.events: dict[int, Thing] = {}
@@ -116,6 +118,20 @@ class Story(JournalHistory):
         if (known := self._shown.get(key)) is None or known[0] != made_of:
             known = self._shown[key] = made_of, show()
         return known[1]
+
+    def odds(self, task: TaskHistory) -> Thing | None:
+        """Return the odds of what is left of the plan of a task, and the time at which they are so; None where they are not known."""
+        run = task.own_runs[-1] if self._robots and task.ending is None and task.own_runs else None
+        if run is None or run.is_over:
+            return None
+        rest = RestOfPlan.of(run.executed().run, run.time)
+
+        def told() -> Thing:
+            odds = rest.odds(self._robots)
+            told = odds.told if odds else None
+            return {"at": rest.now, "words": percent(told.chance), **told.as_json()} if told else {}
+
+        return self.once(f"odds of {run.id.hex}", rest, told) or None
 
     def _mark(self, record: records.Record) -> str:
         """Return the mark of a record for going through them."""
@@ -267,6 +283,7 @@ def _task(story: Story, task: TaskHistory) -> Thing:
         "runs": tuple(run.id.hex for run in task.runs),
         "order": task.accepted.order,
         "counts": str(task.counts) if task.runs else "",
+        "odds": story.odds(task),
     }
 
 

@@ -8,7 +8,7 @@ from collections.abc import AsyncIterator, Mapping
 from contextlib import asynccontextmanager
 from functools import partial
 from typing import Any, Final
-from uuid import UUID
+from uuid import UUID, uuid4
 
 from pnm.core.machine.bindings import Binding, Bindings
 from pnm.core.machine.plan_graph import GroundAction
@@ -26,7 +26,6 @@ ENDING: Final = 60.0
 """Seconds for what ends only when robots have confirmed that they stop."""
 RETURN: Final = 120.0
 """Seconds for a node that has died to be back with its tasks."""
-_ACHIEVE: Final = GroundAction("achieve_goal")
 _NOBODY: Final = UUID(int=0)
 """The id that stands for all tasks."""
 
@@ -79,9 +78,16 @@ class NodeClient:
 
     async def achieve(self, goal: Mapping[str, object], task: UUID) -> Outcome:
         """Have a goal reached, as the task of this id; when cancelled, cancel it and wait until it is over."""
-        loop = asyncio.get_running_loop()
-        binding = Binding(server=_ACHIEVE.name, type="pnm_interfaces/action/AchieveGoal")
-        client = Ros2ActionClient(self._ros, Bindings({_ACHIEVE.name: binding}), loop, grace=RETURN)
+        return await self._carry_out("achieve_goal", "AchieveGoal", goal, task)
+
+    async def plan(self, goal: str) -> Outcome:
+        """Have a plan made for a goal, with its odds."""
+        return await self._carry_out("plan", "MakePlan", {"goal": goal, "with_new_plans": True}, uuid4())
+
+    async def _carry_out(self, server: str, kind: str, goal: Mapping[str, object], id: UUID) -> Outcome:
+        loop, action = asyncio.get_running_loop(), GroundAction(server)
+        binding = Binding(server=server, type=f"pnm_interfaces/action/{kind}")
+        client = Ros2ActionClient(self._ros, Bindings({server: binding}), loop, grace=RETURN)
         over: asyncio.Future[Outcome] = loop.create_future()
 
         def hear(report: Report) -> None:
@@ -89,13 +95,13 @@ class NodeClient:
                 over.set_result(report.outcome)
 
         try:
-            if await client.prepare([_ACHIEVE], LIMIT):
-                raise RosError(await self._absence("there is no action server achieve_goal"))
-            client.send(Request(task, _ACHIEVE, goal), hear)
+            if await client.prepare([action], LIMIT):
+                raise RosError(await self._absence(f"there is no action server {server}"))
+            client.send(Request(id, action, goal), hear)
             try:
                 return await asyncio.shield(over)
             except asyncio.CancelledError:
-                client.cancel(task)
+                client.cancel(id)
                 return await asyncio.wait_for(over, ENDING)
         finally:
             client.close()

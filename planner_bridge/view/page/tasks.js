@@ -1,6 +1,7 @@
 // What needs me now: what failed and why, questions to people, and the tasks.
 
 import { answerForm, taskButtons, whyNoPlan } from "./controls.js";
+import { timeNow } from "./model.js";
 import { clock, el, keepingFocus, seconds, state, words } from "./words.js";
 
 const NO_PLAN = new Set(["no_plan", "planner_timeout", "replan_limit"]);
@@ -15,6 +16,7 @@ export function showTasks(model, isNow) {
 
 function show(model, isNow) {
   const tasks = [...model.tasks.entries()].sort(([, a], [, b]) => (a.state === "over") - (b.state === "over") || b.priority - a.priority || a.order - b.order);
+  left = [];
   showNeeds(model, tasks, isNow);
   const open = tasks.filter(([, task]) => task.state !== "over");
   const over = tasks.filter(([, task]) => task.state === "over").reverse();
@@ -44,10 +46,31 @@ function taskOf(model, isNow, id, task) {
     el("span", { class: "goal" }, task.goal),
     el("span", { class: "soft num" }, task.state === "over" ? "over" : ""),
     task.reason ? el("span", { class: "more reason" }, task.reason) : "",
+    task.odds ? oddsOf(model, isNow, task.odds) : "",
     el("span", { class: "more" }, facts.join(" · ")),
     isNow ? taskButtons(id, task) : "",
     isNow && NO_PLAN.has(task.code) ? whyNoPlan(id, goalOf(task.goal)) : "");
 }
+
+let left = []; // the times that run down
+
+// The chance of the goal and the time to it, and what that rests on.
+function oddsOf(model, isNow, odds) {
+  const text = el("span", { class: "num" });
+  left.push({ model, isNow, odds, text });
+  runDown();
+  return el("span", { class: "more odds" }, el("strong", {}, `${odds.words} `), text,
+    el("span", { class: "soft" }, ` · ${odds.rests_on}`));
+}
+
+function runDown() {
+  for (const { model, isNow, odds, text } of left) {
+    const since = (isNow ? timeNow(model) : model.time) - odds.at;
+    const [median, most] = [odds.seconds.median, odds.seconds.ninety_percent].map((time) => seconds(Math.max(0, time - since), 0));
+    text.textContent = `likely to reach the goal without a new plan, in ${median}; in 90 % of such runs within ${most}`;
+  }
+}
+setInterval(runDown, 500);
 
 // What people may have to do something about: questions, and troubles that nothing has followed yet.
 function showNeeds(model, tasks, isNow) {

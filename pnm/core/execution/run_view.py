@@ -79,7 +79,7 @@ class RunView(KeptState):
         tells: bool = False,
         kept: Mapping[str, Any] | None = None,
     ) -> None:
-        self.machine, self.knowledge, self.id = machine, knowledge, id
+        self.machine, self.knowledge, self.id, self.bindings = machine, knowledge, id, bindings or Bindings()
         self.resources = Resources(machine.capacities) if resources is None else resources
         self.task = id if task is None else task
         self.observer = observer or SILENT
@@ -97,7 +97,7 @@ class RunView(KeptState):
         """Reports about requests taken over that came before the beginning."""
         self._has_changed_knowledge = False
         self._questions, self._waits = Questions[int](), False
-        self._calls = Calls(id, machine, knowledge, bindings or Bindings(), goal_fields, asks=asks)
+        self._calls = Calls(id, machine, knowledge, self.bindings, goal_fields, asks=asks)
         self._results = CallResults(machine.plan)
         self._state = RunState(self._engine, self._index, self._results, origin, adopted=dict(adopted))
         self._claims = RunClaims[int](self.resources, self.task, priority)

@@ -15,7 +15,7 @@ from pnm.core.pictures.export import as_data
 from pnm.errors import InputError, printable
 from pnm.files.yaml_nodes import parse_value
 from pnm.knowledge.source import SourceError, read_value, write_value
-from pnm.tasks import Code, MadePlan, OnConflict, StepState, TaskEnding, TaskStatus, TaskStep, TraceEvent, Wanted
+from pnm.tasks import Code, MadePlan, OnConflict, StepState, TaskEnding, TaskOdds, TaskStatus, TaskStep, TraceEvent, Wanted
 
 TRACE: Final = 200
 """Trace events in a result: the last ones."""
@@ -100,7 +100,15 @@ def status_fields(status: TaskStatus) -> Fields:
         "reason": printable(status.reason),
         **_running_fields(status),
         "replans": status.replans,
+        "odds": odds_fields(status.odds),
     }
+
+
+def odds_fields(odds: TaskOdds | None) -> Fields:
+    """Return the fields of ``Odds``."""
+    if odds is None:
+        return {"chance": -1.0}
+    return {"chance": odds.chance, "median": odds.median, "ninety_percent": odds.ninety_percent, "rests_on": printable(odds.rests)}
 
 
 def task_feedback_fields(status: TaskStatus, steps: Iterable[TaskStep]) -> Fields:
@@ -192,5 +200,5 @@ def run_ending_fields(ending: TaskEnding, _offset: float) -> Fields:
 
 def made_fields(made: MadePlan) -> Fields:
     """Return the fields of the result of ``plan``."""
-    plan = plan_fields(UUID(int=0), made.goal, 0, made.steps)
-    return {"code": int(made.code), "reason": made.code.word, "message": printable(made.message), "plan": plan}
+    plan, odds = plan_fields(UUID(int=0), made.goal, 0, made.steps), odds_fields(made.odds)
+    return {"code": int(made.code), "reason": made.code.word, "message": printable(made.message), "plan": plan, "odds": odds}

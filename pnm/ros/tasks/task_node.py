@@ -415,7 +415,8 @@ class PlanningServer:
 
     async def _search(self, request: Any) -> MadePlan:
         try:
-            return await self._world.make(request.goal.strip(), request.planner.strip(), messages.seconds("timeout", request.timeout))
+            goal, planner, seconds = request.goal.strip(), request.planner.strip(), messages.seconds("timeout", request.timeout)
+            return await self._world.make(goal, planner, seconds, with_new_plans=request.with_new_plans)
         except InputError as error:
             return MadePlan(Code.INVALID_GOAL, str(error))
         except Exception as error:

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import signal
+from typing import Any
 
 import pytest
 
+from planner_bridge.model.rates import Call, Counts, End, Rates
 from tests.support.e2e.command_line import pnm, result
 from tests.support.e2e.deployment import SimulationProgram
 from tests.support.e2e.plan_deployment import PlanDeployment, Serving
 from tests.support.e2e.task_node import DOMAIN, PROBLEM
-from tests.support.processes import Program
+from tests.support.processes import Program, until
 
 FAR = "(and (at r1 yard) (at r2 corridor))"
 
@@ -19,7 +21,9 @@ FAR = "(and (at r1 yard) (at r2 corridor))"
 def node(deployment_of_module: PlanDeployment) -> PlanDeployment:
     """The node, and slow robots for it."""
     deployment_of_module.pnm(SimulationProgram, "simulate", DOMAIN, PROBLEM, "--speed", "0.5").ready()
-    deployment_of_module.pnm(Serving, "serve", DOMAIN, PROBLEM).ready()
+    rates = deployment_of_module.folder / "rates.yaml"
+    rates.write_text(Rates({Call("move", "move"): Counts({End.SUCCEEDED: 80, End.ABORTED: 20})}, {"0": 1}).text())
+    deployment_of_module.pnm(Serving, "serve", DOMAIN, PROBLEM, "--rates", str(rates)).ready()
     return deployment_of_module
 
 
@@ -83,15 +87,38 @@ def test_a_goal_is_reached_and_its_events_are_printed(served: PlanDeployment) ->
     assert words("facts", "(at r2 kitchen)") == (0, "(at r2 kitchen)  true")
 
 
-def test_a_task_is_paused_resumed_and_cancelled_by_the_beginning_of_its_id(served: PlanDeployment) -> None:
+@pytest.mark.usefixtures("served")
+def test_a_goal_is_sent_only_with_the_odds_that_are_asked_for() -> None:
+    status, printed = words("goal", FAR, "--odds", "1")
+    assert status == 1
+    assert "expected 100 % at least" in printed.splitlines()[-1]
+    assert "learned from 100 of move: move" in printed
+    assert "sent " not in printed
+    reached = result(pnm("goal", "(at r1 hall)", "--odds", "0.3", "--json"))
+    assert reached["goal_reached"]
+    assert 0.3 < reached["odds"]["chance"] < 1.0
+    assert words("goal", "(at r1 kichen)", "--odds", "0.3")[0] == 2
+
+
+def odds_of(task: str) -> Any:
+    return next(each["odds"] for each in result(pnm("status", "--json"))["tasks"] if each["id"].startswith(task))
+
+
+def test_a_task_has_odds_and_is_paused_resumed_and_cancelled_by_the_beginning_of_its_id(served: PlanDeployment) -> None:
     client, task = going_on(served)
     assert words("pause", task[:4], "--at-once") == (0, f"{task}: paused")
     assert tasks()[task] == "paused"
+    until(lambda: odds_of(task) is not None)
+    odds = odds_of(task)
+    assert 0.1 < odds["chance"] < 1.0
+    assert "learned from 100 of move: move" in odds["rests_on"]
+    assert "most in 90 %" in words("status")[1]
     assert words("resume") == (0, f"{task}: goes on")
     assert words("cancel", task) == (0, f"{task}: cancelled")
     assert client.ended() == 1
     assert client.out[-1].startswith("goal     not reached: ")
     assert tasks()[task] == "over"
+    assert odds_of(task) is None
 
 
 def test_an_interrupted_goal_is_cancelled_and_watched_by_another(served: PlanDeployment) -> None:

@@ -15,7 +15,7 @@ from planner_bridge.cli.commands import app
 from planner_bridge.explanations.history import JournalHistory
 from planner_bridge.explanations.learning import learn
 from planner_bridge.model.rates import NO_RATES, Call, Counts, End, Rates, read_rates, update_rates
-from planner_bridge.node.node_journal import Learner
+from planner_bridge.node.spare_time import Learner
 from planner_bridge.pipeline.achieve import achieve
 from planner_bridge.pipeline.loading import rates_for
 from pnm.actions.faults import Fault, FaultKind, Faults

@@ -26,7 +26,6 @@ from planner_bridge.pipeline.odds import (
     exact,
     learned,
     odds_of_calls,
-    percent,
     played,
 )
 from planner_bridge.pipeline.roll_outs import odds_of_goal
@@ -37,6 +36,7 @@ from pnm.actions.faults import NO_FAULTS, Fault, FaultKind, Faults
 from pnm.core.knowledge_base import KnowledgeBase
 from pnm.core.machine.bindings import Binding, Bindings
 from pnm.core.machine.plan_graph import ActionCall, GroundAction, Moment, Ordering, PlanEvent, PlanGraph
+from pnm.tasks import percent
 from tests.support.pddl.vans import vans
 
 chances = st.floats(0.0, 1.0)

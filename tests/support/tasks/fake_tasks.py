@@ -31,6 +31,7 @@ from pnm.tasks import (
     StepState,
     TaskEnding,
     TaskListener,
+    TaskOdds,
     TaskRefused,
     TaskState,
     TaskStatus,
@@ -202,7 +203,7 @@ class FakeWorld:
 
     knowledge: KnowledgeBase
 
-    async def make(self, goal: str, planner: str, limit: float | None, /) -> MadePlan:
+    async def make(self, goal: str, planner: str, limit: float | None, /, *, with_new_plans: bool = False) -> MadePlan:
         """Find a plan at once for any goal but "no_plan", or never for "planning"."""
         if goal == "planning":
             await asyncio.get_running_loop().create_future()
@@ -210,7 +211,8 @@ class FakeWorld:
             raise InputError("goal:1:1: expected a condition")
         if goal == "no_plan":
             return MadePlan(Code.NO_PLAN, "there is none")
-        return MadePlan(Code.GOAL_REACHED, f"{planner} {limit}", goal, _STEPS)
+        odds = TaskOdds(0.75, 4.0, 9.0, "assumed: go") if with_new_plans else None
+        return MadePlan(Code.GOAL_REACHED, f"{planner} {limit}", goal, _STEPS, odds)
 
     async def query(self, questions: Sequence[str], /) -> tuple[tuple[str, str], ...]:
         return tuple((one, str(self.knowledge.value(parse_fluent(one)) is True).lower()) for one in questions)

@@ -96,6 +96,7 @@ async def test_feedback_tells_how_the_task_is_doing(one):
     assert told["status"] == {
         "id": {"uuid": [*goal.id.bytes]}, "goal": "running", "priority": 2, "state": 2, "code": 0, "reason": "",
         "running": ["move(r1, hall)"], "feedback": [""], "ended": 1, "replans": 0,
+        "odds": {"chance": -1.0, "median": 0.0, "ninety_percent": 0.0, "rests_on": ""},
     }  # fmt: skip
 
 
@@ -125,7 +126,9 @@ async def test_a_result_has_the_last_events_and_what_a_plan_gives_back(one):
 
 async def test_a_plan_is_looked_for(one):
     status, result = await (await one.client.send("plan", goal="(at r1 hall)", planner="kairos", timeout=2.5)).result()
-    assert (status, result["code"], result["message"]) == (SUCCEEDED, Code.GOAL_REACHED, "kairos 2.5")
+    assert (status, result["code"], result["message"], result["odds"]["chance"]) == (SUCCEEDED, Code.GOAL_REACHED, "kairos 2.5", -1.0)
+    _, likely = await (await one.client.send("plan", goal="(at r1 hall)", with_new_plans=True)).result()
+    assert likely["odds"] == {"chance": 0.75, "median": 4.0, "ninety_percent": 9.0, "rests_on": "assumed: go"}
     assert (result["plan"]["goal"], result["plan"]["task"]) == ("(at r1 hall)", {"uuid": [*ALL.bytes]})
     assert result["plan"]["steps"][1] == {
         "action": "move", "arguments": ["r1", "hall"], "start": 1.0, "duration": 2.0, "state": 1, "after": [0],

@@ -13,17 +13,18 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit
 
-from planner_bridge.view.app import serve_page
+from planner_bridge.pipeline.odds import NOTHING_KNOWN, KnownRobots
+from planner_bridge.view.app import NO_CONTROL, serve_page
 from planner_bridge.view.serving import listening, url_of
 from tests.support.processes import LIMIT
 
 
 @contextmanager
-def page_of(journal: Path) -> Iterator[str]:
-    """Serve the page of a journal; yield where it is."""
+def page_of(journal: Path, known: KnownRobots = NOTHING_KNOWN) -> Iterator[str]:
+    """Serve the page of a journal, with odds by what is known of robots; yield where it is."""
     opened, over = listening(0), threading.Event()
     url = url_of(opened)
-    serving = threading.Thread(target=serve_page, args=(journal, opened, lambda: asyncio.to_thread(over.wait)))
+    serving = threading.Thread(target=serve_page, args=(journal, opened, lambda: asyncio.to_thread(over.wait), NO_CONTROL, known))
     serving.start()
     try:
         yield url

@@ -1,0 +1,109 @@
+"""The odds of what is left of a plan, as the page shows them: by each record of a journal, and in a browser."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from playwright.sync_api import Browser, expect
+
+from planner_bridge.model.rates import Call, Counts, End, Rates, Times
+from planner_bridge.pipeline.odds import KnownRobots
+from planner_bridge.view.follow import Reader
+from planner_bridge.view.serving import PageProcess
+from planner_bridge.view.story import Thing, view_of
+from tests.support.e2e.page.browser import browser
+from tests.support.e2e.page.journals import GrowingJournal, steps
+from tests.support.e2e.page.serving import asked, page_of
+from tests.support.files import written
+from tests.support.processes import until
+
+FAULTS = "faults: [{action: move, do: abort, chance: 0.5}]\n"
+KNOWN = KnownRobots(Rates({Call("move", "move"): Counts({End.SUCCEEDED: 90, End.ABORTED: 10}, Times({80: 90}, 450_000))}, {"0": 1}))
+
+
+@pytest.fixture(scope="module")
+def chromium() -> Iterator[Browser]:
+    with browser() as opened:
+        yield opened
+
+
+@pytest.fixture(scope="module")
+def told(delivery: Path) -> dict[int, Thing]:
+    """The only task after each record that there is one, as whoever follows the journal sees it."""
+    reader = Reader(delivery, KNOWN)
+    views = ((step.number, reader.at(step.number, view_of)) for step in steps(delivery))
+    return {number: next(iter(view.tasks.values())) for number, view in views if view and view.tasks}
+
+
+def test_odds_rise_with_each_call_that_ends_and_are_gone_once_something_has_failed(told: dict[int, Thing]) -> None:
+    last, seen, failures = 0.0, list[float](), set[int]()
+    for number, task in told.items():
+        odds = task["odds"]
+        if odds is None:
+            last = 0.0
+            continue
+        if odds["chance"] < last:  # an attempt has failed
+            failures.add(number)
+        assert 0.0 < odds["chance"] <= 1.0
+        assert 0.0 <= odds["seconds"]["median"] <= odds["seconds"]["ninety_percent"]
+        assert "learned from 100 of move: move" in odds["rests_on"] or "move" not in odds["rests_on"]
+        last = odds["chance"]
+        seen.append(last)
+    assert len({*seen}) > 5
+    assert len(failures) == 2
+    assert max(seen) == pytest.approx(0.99), "the last call may fail twice"
+    assert [task["odds"] for task in told.values()][-1] is None, "the task is over"
+    assert any(task["odds"] is None and not task["code"] and len(task["runs"]) == 1 for task in told.values()), "a call has failed"
+
+
+def test_who_looks_at_one_record_sees_the_same_odds(told: dict[int, Thing], delivery: Path) -> None:
+    for number in sorted(told)[::7]:
+        view = Reader(delivery, KNOWN).at(number, view_of)
+        assert view is not None
+        assert next(iter(view.tasks.values()))["odds"] == told[number]["odds"]
+
+
+def test_where_nothing_is_known_there_are_no_odds(delivery: Path) -> None:
+    reader = Reader(delivery)
+    views = (reader.at(step.number, view_of) for step in steps(delivery))
+    assert not [task for view in views if view for task in view.tasks.values() if task["odds"]]
+
+
+def test_the_page_says_the_chance_and_the_time_left_and_what_they_rest_on(
+    chromium: Browser, growing: GrowingJournal, told: dict[int, Thing]
+) -> None:
+    record = next(number for number, task in told.items() if task["odds"])
+    growing.grow(record)
+    page = chromium.new_page()
+    with page_of(growing.place, KNOWN) as url:
+        page.goto(url)
+        odds = page.locator(".task .odds")
+        expect(odds).to_contain_text(
+            re.compile(r"\d+\.\d % likely to reach the goal without a new plan, in \d+ s; in 90 % of such runs within \d+ s")
+        )
+        expect(odds).to_contain_text("learned from 100 of move: move")
+        first = odds.inner_text()
+        later = next(number for number, task in told.items() if task["odds"] and task["odds"]["words"] != told[record]["odds"]["words"])
+        growing.grow(later)
+        expect(odds).to_contain_text(told[later]["odds"]["words"])
+        assert odds.inner_text() != first
+        growing.grow(growing.longest)
+        expect(page.locator(".task")).to_contain_text("goal reached")
+        expect(odds).to_have_count(0)
+        page.close()
+
+
+def test_the_page_of_a_command_knows_the_files_of_rates_and_of_faults(delivery: Path, told: dict[int, Thing], tmp_path: Path) -> None:
+    rates, faults = written(tmp_path / "rates.yaml", KNOWN.rates.text()), written(tmp_path / "faults.yaml", FAULTS)
+    record = next(number for number, task in told.items() if task["odds"])
+    for files, rests in (((rates, None), told[record]["odds"]["rests_on"]), ((rates, faults), "declared: load, move, unload")):
+        with PageProcess(0) as page:
+            page.follow(str(delivery), *files)
+            until(lambda url=page.url: asked(url, f"/state?at={record}")[0] == 200)  # type: ignore[misc]
+            _, _, answer = asked(page.url, f"/state?at={record}")
+        (task,) = json.loads(answer)["parts"]["tasks"].values()
+        assert task["odds"]["rests_on"] == rests
