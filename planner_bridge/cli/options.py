@@ -177,6 +177,9 @@ as_json_option = click.option("--json", "as_json", is_flag=True, help="print onl
 bindings_option = click.option("--bindings", type=FILE, help="the bindings of actions to servers; by default bindings.yaml beside DOMAIN")
 rates_option = click.option("--rates", type=FILE, help="the rates that `pnm learn` writes; by default rates.yaml beside DOMAIN")
 learn_option = click.option("--learn", "learns", is_flag=True, help="add to the rates how the calls of this run ended, as `pnm learn` does")
+limits_option = click.option(
+    "--learned-limits", "is_limited", is_flag=True, help="take the limits of calls from the rates, where no binding says one"
+)
 force_option = click.option("--force", is_flag=True, help="overwrite existing files")
 output_options = options(click.option("-o", "--output", type=FILE, help="a new file; by default the terminal"), force_option)
 adopt_option = click.option(

@@ -74,6 +74,7 @@ from pnm.tasks import Code, Tasks
 @options.journal_options
 @options.rates_option
 @options.learn_option
+@options.limits_option
 @options.timeline_option
 @options.force_option
 @options.view_option
@@ -111,6 +112,7 @@ def run(
     adopt: bool,
     rates: Path | None,
     learns: bool,
+    is_limited: bool,
     timeline: Path | None,
     force: bool,
     view: int | None,
@@ -138,6 +140,8 @@ def run(
     chosen = options.chosen_files(domain, problem, plan_file)
     if not isinstance(chosen, Path) and (name or given or answers or knowledge):
         raise InputError("--name, --set, --answer and --knowledge belong to hand-written plans; expected --plan and a file")
+    if isinstance(chosen, Path) and is_limited:
+        raise InputError("--learned-limits is about a goal: a hand-written plan has limits of its own; expected DOMAIN and PROBLEM")
     controlled = options.controlled_by(view, Controlled.RUN, controls=controls)
     console, stopwatch = SafeConsole(), Stopwatch()
     begin: Callable[..., TaskResult]
@@ -171,6 +175,7 @@ def run(
                 sensors = read_sensing(sensing, loaded.vocabulary) if sensing else NO_SENSING
                 bound = bindings_for(chosen[0], bindings, loaded.vocabulary) or DEFAULTS.bindings
                 known = rates_for(chosen[0], rates, grows=learns) or DEFAULTS.learned
+                bound = known.limiting(bound, loaded.domain.actions) if is_limited else bound
                 settings = replace(settings, bindings=bound, sensing=sensors, learned=known)
                 going_wrong = options.faults_in(faults, loaded.vocabulary)
                 if (vetted := VettedPlan.where_known(settings, going_wrong, known, least)) is not None:

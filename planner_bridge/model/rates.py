@@ -13,7 +13,7 @@ import os
 import re
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import Enum, StrEnum
 from functools import cached_property
 from math import exp, log, sqrt
@@ -21,6 +21,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final, NamedTuple, TypeVar
 
 from planner_bridge.model.plan import ASSUMED_SECONDS
+from pnm.core.logic.domain import ActionSchema
+from pnm.core.logic.expressions import Constant
 from pnm.core.machine.bindings import Bindings
 from pnm.core.machine.plan_graph import GroundAction
 from pnm.errors import InputError, Position
@@ -339,6 +341,16 @@ class Rates:
         t = z + (z**3 + z) / (4 * v) + (5 * z**5 + 16 * z**3 + 3 * z) / (96 * v**2)
         t += (3 * z**7 + 19 * z**5 + 17 * z**3 - 15 * z) / (384 * v**3)
         return max(exp(log(STEP) * (mean + t * spread)), 1.25 * exp(log(STEP) * max(steps)), LEAST_LIMIT)
+
+    def limiting(self, bindings: Bindings, actions: Mapping[str, ActionSchema]) -> Bindings:
+        """Return bindings with the limits that fit, for actions whose own binding says none.
+
+        An action whose duration depends on its arguments keeps the usual limit, which goes with its duration.
+        """
+        fixed = (name for name, schema in actions.items() if all(isinstance(one.bound, Constant) for one in schema.duration or ()))
+        limits = {name: self.limit(Call("", name)) for name in fixed if bindings.of(name).timeout is None}
+        timed = {name: replace(bindings.of(name), timeout=limit) for name, limit in limits.items() if limit is not None}
+        return replace(bindings, actions={**bindings.actions, **timed})
 
     # --- writing ---
 

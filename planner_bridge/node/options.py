@@ -52,6 +52,7 @@ class Options:
     """None for the default of the place of the journal."""
     rates: Path | None = parameter("", "file of the rates that `pnm learn` writes; by default rates.yaml beside the domain")
     learn: bool = parameter(False, "whether to add to the rates how calls ended, and after how many seconds, when a task is over")
+    learned_limits: bool = parameter(False, "whether calls have the limits of the rates, where no binding says one")
     odds: bool = parameter(True, "whether the status of tasks has the odds of what is left of their plans, where there are rates")
     keep_days: float = parameter(KEPT / DAY, "days for which the journal keeps old records; tasks are listed for longer")
     adopt: bool = parameter(False, "whether to take a journal of another node or computer, a copy, or one without its last records")

@@ -52,13 +52,16 @@ def kept_tasks(replay: Replay | None) -> list[tuple[Wanted, TaskEnding | None]]:
 
 def make_task_manager(context: NodeContext) -> tuple[TaskManager, ServedProblem]:
     """Make the task manager of a node and the problem that it serves."""
-    options = context.options
+    options, bindings = context.options, context.bindings
+    learned = rates_for(options.domain, options.rates, grows=options.learn) or DEFAULTS.learned
+    if options.learned_limits and context.problem:
+        bindings = learned.limiting(bindings, context.problem.domain.actions)
     settings = Settings(
         options.planner,
         options.planner_timeout,
         options.improve,
-        bindings=context.bindings,
-        learned=rates_for(options.domain, options.rates, grows=options.learn) or DEFAULTS.learned,
+        bindings=bindings,
+        learned=learned,
         limits=Limits(options.replans, options.without_progress, patience=options.patience),
         on_failure=options.on_failure,
         on_change=options.on_change,

@@ -16,15 +16,17 @@ from planner_bridge.explanations.history import JournalHistory
 from planner_bridge.explanations.learning import learn
 from planner_bridge.model.rates import NO_RATES, Call, Counts, End, Rates, read_rates, update_rates
 from planner_bridge.node.spare_time import Learner
+from planner_bridge.pddl import read_domain
 from planner_bridge.pipeline.achieve import achieve
 from planner_bridge.pipeline.loading import rates_for
 from pnm.actions.faults import Fault, FaultKind, Faults
+from pnm.core.machine.bindings import Binding, Bindings
 from pnm.errors import InputError
 from pnm.files.database.place import Place
 from pnm.journal.kept import JournalChoice
 from pnm.journal.store import copy_journal
 from pnm.tasks import Code, TaskEnding
-from tests.support.files import ROOT
+from tests.support.files import ROOT, written
 from tests.support.runs.simulated import on_a_loop
 from tests.support.tasks.scenarios.random_scenarios import run_scenario
 
@@ -179,3 +181,22 @@ def test_processes_that_learn_at_once_lose_nothing(tmp_path: Path) -> None:
     assert [file.name for file in tmp_path.iterdir()] == ["rates.yaml"]
     with pytest.raises(InputError, match="cannot be written: No such file or directory"):
         update_rates(tmp_path / "nowhere" / "rates.yaml", more)
+
+
+def test_limits_that_fit_are_those_of_calls_if_that_is_wanted(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    for file in DELIVERY:
+        (tmp_path / file.name).write_bytes(file.read_bytes())
+    times = sum((Counts.of(End.SUCCEEDED, 3.9 + number / 100) for number in range(20)), Counts())
+    rates = NO_RATES.grown("j", 1, [(Call(action, action), times) for action in ("open_door", "load")])
+    written(tmp_path / "rates.yaml", rates.text())
+    written(tmp_path / "faults.yaml", "faults: [{action: load, do: hang, times: 1}]\n")
+    command = ["run", *(str(tmp_path / file.name) for file in DELIVERY), "--faults", str(tmp_path / "faults.yaml")]
+    limit = rates.limit(Call("", "load"))
+    assert limit is not None
+    for more, seconds in (((), 10.0), (("--learned-limits",), limit)):
+        assert CliRunner().invoke(app, [*command, *more]).exit_code == 0
+        assert f"load(r1, parcel2, store): it has not ended within {seconds:g} s" in caplog.text
+        caplog.clear()
+    bound = rates.limiting(Bindings({"load": Binding(timeout=7.0)}), read_domain(DELIVERY[0]).actions)
+    assert (bound.of("load").timeout, bound.of("move").timeout) == (7.0, None)
+    assert bound.of("open_door").timeout == limit
