@@ -12,6 +12,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import replace
+from math import ceil, floor, inf
 from typing import Final
 
 from planner_bridge.model.grounding import initial_knowledge
@@ -20,10 +21,11 @@ from planner_bridge.model.problem import Problem
 from planner_bridge.model.progression import NotApplicable, Progression, calls_of, snapshot
 from planner_bridge.ordering.plan_to_graph import causal_links
 from planner_bridge.planning.normal_form import conditions_of
-from pnm.core.logic.conditions import Compare, Condition, Holds, Not, conjunction, evaluate, every_part, fluents
+from pnm.core.logic.conditions import All, Any, Compare, Condition, Holds, Not, conjunction, evaluate, every_part, fluents
 from pnm.core.logic.effects import constants
-from pnm.core.logic.expressions import Constant, Unknown, ValueOf, value_of
+from pnm.core.logic.expressions import Arithmetic, Constant, Fluent, State, Unknown, ValueOf, is_number, value_of
 
+_SIGNS: Final = {">": 1.0, ">=": 1.0, "<": -1.0, "<=": -1.0}
 SHORTEST: Final = 6
 """Calls of the parts that are tried first; each round tries parts that are longer by half."""
 
@@ -68,6 +70,29 @@ def better_parts(
         length += length // 2
 
 
+def _spare(condition: Condition, states: tuple[State, State], fluent: Fluent) -> float:
+    """Return by how much a number may be less with the condition still true, in whole steps; less than 0 if it is not.
+
+    Args:
+        states: one, and the same with one less.
+    """
+    match condition:
+        case All(operands):
+            return min((_spare(operand, states, fluent) for operand in operands), default=inf)
+        case Any(operands):
+            return max((_spare(operand, states, fluent) for operand in operands), default=-1.0)
+        case _ if evaluate(condition, states[0]) is not True:
+            return -1.0
+        case Compare(operation, left, right) if operation in _SIGNS:
+            now, then = [value_of(Arithmetic("-", (left, right)), state) for state in states]
+            assert isinstance(now, float)
+            assert isinstance(then, float)
+            gap, loss = _SIGNS[operation] * now, _SIGNS[operation] * (now - then)
+            return inf if loss <= 0.0 else floor(gap / loss) if operation.endswith("=") else ceil(gap / loss) - 1
+        case _:
+            return inf if fluent not in fluents(condition, states[0]) else 0.0
+
+
 class _Rest:
     """The states of a plan, and what its rest reads from each on; raises `NotApplicable` if it cannot be carried out.
 
@@ -76,7 +101,7 @@ class _Rest:
     """
 
     def __init__(self, problem: Problem, plan: Plan, large: frozenset[str]) -> None:
-        self._problem, self._large = problem, large
+        self._problem = problem
         calls = calls_of(problem, plan)
         simulation, links = Progression(initial_knowledge(problem)), causal_links(problem, [call.action for call in calls])
         self._states = [snapshot(simulation.state)]
@@ -91,6 +116,16 @@ class _Rest:
             needed = (needed - (constants(call.action.end_effects) or {}).keys()) | links.reads[start] | links.reads[end]
             self._reads.append(needed)
         self._reads.reverse()
+        self._spare = {fluent: [inf] for fluent in simulation.state.facts() if fluent[0] in large}
+        """By position: by how much a large number may be less there with the rest still going on to the goal."""
+        demands = [*((call.action.precondition, call.action.end_effects) for call in calls), (problem.goal, ())]
+        for fluent, spare in self._spare.items():
+            for (condition, effects), state in zip(reversed(demands), reversed(self._states), strict=True):
+                less, value = snapshot(state), state.value(fluent)
+                less.update({fluent: value - 1.0} if is_number(value) else {})
+                later = inf if fluent in (constants(effects) or {}) else spare[-1]
+                spare.append(min(later, _spare(condition, (state, less), fluent)))
+            spare.reverse()
         own = (fluents(condition, simulation.state) for condition in (problem.goal, *(call.action.precondition for call in calls)))
         self._mentioned = frozenset().union(*own)
         """What conditions mention themselves, and not only what derived facts follow from."""
@@ -110,8 +145,10 @@ class _Rest:
                     goals.append(Holds(fluent))
                 case False | None if fluent in self._mentioned and fluent[0] in self._problem.domain.predicates:
                     goals.append(Not(Holds(fluent)))
+                case int() | float() as value if (spare := self._spare.get(fluent)) and value is not False:
+                    goals += [Compare(">=", ValueOf(fluent), Constant(value - spare[last]))] if 0.0 <= spare[last] < inf else []
                 case int() | float() | str() as value if value is not False:
-                    goals.append(Compare(">=" if fluent[0] in self._large else "=", ValueOf(fluent), Constant(value)))
+                    goals.append(Compare("=", ValueOf(fluent), Constant(value)))
         facts = self._states[first].facts()
         init = {fluent: value for fluent, value in facts.items() if not isinstance(value, Unknown)}
         return replace(self._problem, init=init, goal=conjunction(goals))

@@ -82,6 +82,22 @@ def test_ways_are_gone_once_for_two_things_and_the_charge_still_suffices() -> No
     assert sum(call.startswith("drive") for call in left) == 3
 
 
+def test_a_part_leaves_no_more_of_a_number_than_the_rest_needs() -> None:
+    parcels = [f"p{number}" for number in range(9)]
+    lie = " ".join(f"(lies {parcel} shop)" for parcel in parcels)
+    goal = " ".join(f"(lies {parcel} depot)" for parcel in parcels)
+    text = f"""(define (problem p) (:domain van) (:objects {" ".join(parcels)} - parcel)
+      (:init (at depot) {lie} (= (charge) 3) (= (room) 9)) (:goal (and {goal})))"""
+    plan = plan_of(
+        *("plug_in", "drive depot shop", *(f"load {parcel} shop" for parcel in parcels), "drive shop depot"),
+        *(f"unload {parcel} depot" for parcel in parcels),
+    )
+    demanded: list[str] = []
+    problem = parse_problem(text, parse_domain(VAN))
+    next(better_parts(problem, plan, lambda part, steps, _: demanded.append(str(part.goal)), lambda plan: False))
+    assert "(>= (charge) 1)" in demanded[0], "for one more drive, where the charge is 3"
+
+
 @pytest.mark.parametrize("problem", [matches(1), rooms(goal="(and (clean a) (preference p (at r1 b)))", ways="ab ba")])
 def test_of_plans_with_times_or_preferences_no_part_is_replaced(problem: Problem) -> None:
     assert not can_have_parts(problem)
