@@ -44,6 +44,8 @@ ENOUGH: Final = 20
 as many attempts."""
 ENOUGH_TIMES: Final = 5
 """Measured times from which they have seconds of their own: those vary less than ends do."""
+BEFORE: Final = 2
+"""Measured times for which counts, in the mean of those of a call, what is known beside them."""
 ENOUGH_FOR_LIMIT: Final = 10
 """Successful attempts from which there is a limit that fits."""
 LEAST_LIMIT: Final = 1.0
@@ -324,6 +326,18 @@ class Rates:
             return self.seconds(call, declared)
         seconds = ASSUMED_SECONDS if declared is None else declared
         return Durations(((seconds, 1),), seconds, Rests(Basis.ASSUMED if declared is None else Basis.DECLARED))
+
+    def mean(self, call: Call, declared: float | None = None, *, succeeded: bool = True) -> float:
+        """Return the expected seconds of an attempt at a call that succeeds, or that does not; few measured times move them a little.
+
+        What is declared, or known of a wider group, counts as `BEFORE` measured times.
+        """
+        known = declared if succeeded else self.mean(call, declared)
+        for _, counts in self._known(call):
+            if (times := counts.took if succeeded else counts.failed_after).n:
+                before = 0 if known is None else BEFORE
+                known = (times.total / 1000.0 + before * (known or 0.0)) / (times.n + before)
+        return ASSUMED_SECONDS if known is None else known
 
     def limit(self, call: Call) -> float | None:
         """Return a limit, in seconds, that cuts off one successful attempt of a thousand at most; None if there were too few.

@@ -5,7 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import product
+from math import ceil, log10, prod
 from types import MappingProxyType
+from typing import Final
 
 from planner_bridge.model.forbidden_actions import unused_name
 from planner_bridge.model.plan import Plan
@@ -13,11 +16,14 @@ from planner_bridge.model.problem import Domain, Metric, Problem, once_per_domai
 from planner_bridge.model.progression import calls_of
 from planner_bridge.model.rates import NO_RATES, Basis, Call, Rates
 from planner_bridge.ordering.plan_to_graph import plan_graph
-from pnm.core.logic.domain import Declaration
+from pnm.core.logic.domain import ActionSchema, Declaration
 from pnm.core.logic.effects import Set
-from pnm.core.logic.expressions import Constant, ValueOf
+from pnm.core.logic.expressions import ValueOf
 from pnm.core.machine.bindings import NO_BINDINGS, Bindings, placeholders
 from pnm.core.machine.plan_graph import GroundAction, PlanGraph, PlanGraphError
+
+MOST_PRICES: Final = 500
+"""Calls of an action that have a price of their own for planners, or beginnings of calls."""
 
 
 @dataclass(frozen=True)
@@ -40,14 +46,25 @@ class ExpectedTimes:
         """
         key = action.name, action.arguments, action.duration
         if key not in self._found:
-            declared = self.bindings.of(action.name).seconds if action.duration is None else action.duration
-            is_whole = len(action.arguments) == len(action.parameters) > 0  # else the action at large is meant
-            call = Call.of(action, self.bindings) if is_whole else Call("", action.name)
-            chance, lasts = self.learned.chance(call), self.learned.seconds(call, declared).mean
+            binding = self.bindings.of(action.name)
+            declared = binding.seconds if action.duration is None else action.duration
+            names_server = set(placeholders(binding.server or "")) <= set(action.parameters)
+            call = Call.of(action, self.bindings) if action.arguments and names_server else Call("", action.name)
+            chance, lasts = self.learned.chance(call), self.learned.mean(call, declared)
             if chance.rests.basis is Basis.LEARNED:
-                lasts += (1.0 / chance.success - 1.0) * self.learned.seconds(call, declared, succeeded=False).mean
+                lasts += (1.0 / chance.success - 1.0) * self.learned.mean(call, declared, succeeded=False)
             self._found[key] = lasts
         return self._found[key]
+
+    def of(self, schema: ActionSchema, arguments: tuple[str, ...]) -> float:
+        """Return the expected seconds of the calls of an action that begin with these arguments."""
+        names = tuple([variable.name[1:] for variable in schema.parameters[: len(arguments)]])
+        return self.expected(GroundAction(schema.name, arguments, names))
+
+    @cached_property
+    def told_apart(self) -> dict[str, int]:
+        """For actions of which something was learned, the number of first arguments by which their calls are told apart."""
+        return {call.action: len(call.arguments) for call in self.learned.calls}
 
     def are_measure(self, problem: Problem) -> bool:
         """Return whether plans are measured by them: the domain has no metric and no times, and something is known about its actions."""
@@ -98,27 +115,50 @@ def ends_of(graph: PlanGraph, rates: ExpectedTimes, left: Mapping[int, float] = 
     return ends
 
 
-def priced(problem: Problem, rates: ExpectedTimes) -> Problem:
+def priced(problem: Problem, rates: ExpectedTimes, *, by_call: bool = False) -> Problem:
     """Return the problem with a metric that adds up the seconds of calls, if plans are measured by them and they differ.
 
     Planners that minimise it know nothing of calls that go on at the same time.
+
+    Args:
+        by_call: with the seconds of each call, as far as they are told apart, and not only those of its action.
     """
     if not rates.are_measure(problem):
         return problem
-    seconds = tuple((name, rates.expected(GroundAction(name))) for name in problem.domain.actions)
-    if len({price for _, price in seconds}) == 1:
+    prices, known = dict[str, dict[tuple[str, ...], float]](), problem.objects_by_type
+    for schema in problem.domain.actions.values():
+        able = [[name for kind in variable.types for name in known.get(kind, ())] for variable in schema.parameters]
+        able = able[: by_call * rates.told_apart.get(schema.name, 0)]
+        while prod(map(len, able)) > MOST_PRICES:
+            able.pop()
+        prices[schema.name] = {arguments: rates.of(schema, arguments) for arguments in product(*able)}
+    every = {price for table in prices.values() for price in table.values()}
+    if len(every) <= 1:
         return problem
-    domain, name = domain_with_prices(problem.domain, seconds)
-    return replace(problem, domain=domain, init={**problem.init, (name,): 0.0}, metric=Metric("minimize", ValueOf((name,))))
+    places = 2 - ceil(log10(max(every)))  # of what differs by a hundredth of the largest, planners need not weigh one against the other
+    depths = tuple((name, len(next(iter(table)))) for name, table in prices.items() if table)
+    domain, total, functions = domain_with_prices(problem.domain, depths)
+    table = {
+        (functions[name], *arguments): max(10.0**-places, round(price, places))
+        for name, table in prices.items()
+        for arguments, price in table.items()
+    }
+    return replace(problem, domain=domain, init={**problem.init, **table, (total,): 0.0}, metric=Metric("minimize", ValueOf((total,))))
 
 
 @once_per_domain
-def domain_with_prices(domain: Domain, seconds: tuple[tuple[str, float], ...]) -> tuple[Domain, str]:
-    """Return the domain whose actions add their seconds to a function, and its name."""
-    name = unused_name("robot-time", domain)
-    actions = dict(domain.actions)
-    for action, price in seconds:
-        added = Set((name,), Constant(price), "increase")
-        actions[action] = replace(actions[action], end_effects=(*actions[action].end_effects, added))
+def domain_with_prices(domain: Domain, depths: tuple[tuple[str, int], ...]) -> tuple[Domain, str, dict[str, str]]:
+    """Return the domain whose actions add their seconds to a function, its name, and those of the functions with the seconds.
+
+    Args:
+        depths: for each action, the number of its first arguments on which its seconds depend.
+    """
+    total, functions = unused_name("robot-time", domain), {name: unused_name(f"seconds-of-{name}", domain) for name, _ in depths}
+    actions, declared = dict(domain.actions), {total: Declaration(total)}
+    for name, depth in depths:
+        variables = actions[name].parameters[:depth]
+        declared[functions[name]] = Declaration(functions[name], variables)
+        added = Set((total,), ValueOf((functions[name], *(variable.name for variable in variables))), "increase")
+        actions[name] = replace(actions[name], end_effects=(*actions[name].end_effects, added))
     requirements = tuple(dict.fromkeys((*domain.requirements, ":numeric-fluents")))
-    return replace(domain, requirements=requirements, functions={**domain.functions, name: Declaration(name)}, actions=actions), name
+    return replace(domain, requirements=requirements, functions={**domain.functions, **declared}, actions=actions), total, functions

@@ -18,7 +18,6 @@ from planner_bridge.pddl.writer import write_domain, write_problem
 from planner_bridge.planning.normal_form import in_whole_numbers
 from pnm.core.logic.conditions import TOLERANCE
 from pnm.core.logic.expressions import ValueOf
-from pnm.core.machine.plan_graph import GroundAction
 from pnm.errors import InputError
 
 if TYPE_CHECKING:
@@ -65,15 +64,8 @@ _STATUS: Final[Mapping[kairos.Status, PlanningStatus]] = {
 """The ends of a search that has found no plan."""
 
 
-def parse_for_kairos(problem: Problem, rates: ExpectedTimes | None = None) -> kairos.Problem:
-    """Return the problem as Kairos reads it: without its task network, in whole numbers, with the seconds of calls where they count.
-
-    It may refuse what our reader accepted.
-    """
-    if rates is not None:
-        from planner_bridge.ordering.robot_time import priced  # here and below, because most problems are about no robot that is known
-
-        problem = priced(problem, rates)
+def parse_for_kairos(problem: Problem) -> kairos.Problem:
+    """Return the problem as Kairos reads it: without its task network, in whole numbers. It may refuse what our reader accepted."""
     try:
         return _parsed(problem)
     except kairos.PddlError as error:
@@ -132,7 +124,7 @@ def search(
     if problem.has_tasks:
         message = "task networks, which aries plans for (--planner aries)"
         return PlanningResult(PlanningStatus.UNSUPPORTED, message=message, planner=planner)
-    return search_with_kairos(problem, parsed or parse_for_kairos(problem, rates), timeout, improve, cancel, rates, known, least)
+    return search_with_kairos(problem, parsed or parse_for_kairos(problem), timeout, improve, cancel, rates, known, least)
 
 
 def search_with_kairos(
@@ -152,8 +144,16 @@ def search_with_kairos(
 
     Once there is a plan, a better one is looked for: `improve` seconds, or a share of the time that the plan is expected to take, for
     robots wait. The searches go on, and meanwhile parts of the best plan are replaced by better ones.
+
+    Where actions take differently long, the first search is for few calls all the same, which it finds much sooner; those that come
+    beside it, or after it if it ends, are for little time.
     """
-    start = partial(kairos.Planner().start, parsed, anytime=improve != 0.0, threads=1)  # type: ignore[no-untyped-call]
+    begin = partial(kairos.Planner().start, anytime=improve != 0.0, threads=1)  # type: ignore[no-untyped-call]
+    start, weighed = partial(begin, parsed), parsed
+    if rates is not None:
+        from planner_bridge.ordering.robot_time import priced  # here and below, because most problems are about no robot that is known
+
+        weighed = parsed if (dear := priced(problem, rates)) is problem else parse_for_kairos(dear)
     search: kairos.Search = start(timeout=timeout)
     searches, others, best = [search], iter(_BESIDE.items()), _Best(problem, parsed, rates)
     until, began, patience = time.monotonic() + timeout, time.process_time(), inf if improve == 0.0 else _PATIENCE
@@ -163,7 +163,8 @@ def search_with_kairos(
     if known is not None and not best.take(known):
         search.stop()
         return PlanningResult(PlanningStatus.INVALID_PLAN, message="the known plan does not solve the problem", planner=DEFAULT_PLANNER)
-    while search.running() and not (cancel.is_set() or best.is_at(least)) and (now := time.monotonic()) < deadline:
+    by_call = rates is not None and rates.are_measure(problem) and bool(rates.learned.groups)
+    while not (cancel.is_set() or best.is_at(least)) and (now := time.monotonic()) < deadline:
         if next(parts, False):
             news = now
         else:
@@ -171,6 +172,7 @@ def search_with_kairos(
         if best.plan is None and time.process_time() > began + patience and (way := next(helpers, None)):
             searches.append(start(timeout=max(_POLL, until - now), search=way, memory_limit_mb=_memory_of_others()))
             patience *= 2
+        is_over = not search.running()
         if best.of(searches) or (known is not None and first == inf):
             first, news = min(first, now), now
             if improve is None or improve >= _PART:
@@ -181,8 +183,13 @@ def search_with_kairos(
             allowed = best.worth * (1.0 if known is None else AT_WORK) if improve is None else improve
             deadline = first + allowed if improve is not None else min(first + allowed, news + allowed * _IN_VAIN)
             if news < now and not any(beside.running() for beside in searches[1:]) and (other := next(others, None)):
-                searches.append(start(timeout=allowed * other[1], search=other[0]))
+                searches.append(begin(weighed, timeout=allowed * other[1], search=other[0]))
+        if is_over and best.plan is not None and weighed is not parsed and search is searches[0]:
+            searches.append(search := begin(weighed, timeout=max(_POLL, until - now)))
+        elif is_over and not (by_call and next(parts, False)):
+            break
     is_best = not search.running() and search.stop_reason is kairos.StopReason.PROVEN_OPTIMAL
+    is_best &= weighed is parsed or search is not searches[0]
     if rates is not None and rates.are_measure(problem):  # proved is that no plan has less work, if every call of an action takes as long
         is_best &= rates.have_turns(problem) and not rates.learned.groups
     for started in searches:
@@ -272,8 +279,13 @@ class _Best:
         """
         sign = -1.0 if part.metric is not None and part.metric.direction == "maximize" else 1.0
         limit = self._work(old) if reached is None else sign * reached
+        if self._counts:
+            from planner_bridge.ordering.robot_time import priced
+
+            assert self._rates is not None
+            part = priced(part, self._rates, by_call=True)
         try:
-            search: kairos.Search = self._start(parse_for_kairos(part, self._rates), anytime=True, threads=1)
+            search: kairos.Search = self._start(parse_for_kairos(part), anytime=True, threads=1)
         except InputError:
             return None
         until, going_on = time.process_time() + _PART, True
@@ -292,7 +304,7 @@ class _Best:
         """Return the seconds of all calls, one after the other."""
         if self._rates is None:
             return sum(ASSUMED_SECONDS for _ in steps)
-        return sum(self._rates.expected(GroundAction(step.action, step.arguments)) for step in steps)
+        return sum(self._rates.of(self._problem.domain.actions[step.action], step.arguments) for step in steps)
 
 
 def _joined(diagnostics: Iterable[kairos.Diagnostic]) -> str:

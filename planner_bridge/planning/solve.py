@@ -131,7 +131,7 @@ def solve(
         from planner_bridge.planning.lower_bound import lower_bound  # here, because robots wait for most plans
 
         least = lower_bound(problem, rates, time.monotonic() + min(bound, timeout))
-    parsed = parse_for_kairos(asked, rates) if planner == DEFAULT_PLANNER else None  # once, for its search and its validator
+    parsed = parse_for_kairos(asked) if planner == DEFAULT_PLANNER else None  # once, for its search and its validator
     found = search(asked, planner, timeout, stop, improve=improve, parsed=parsed, rates=rates, known=known, least=least)
     result = reduced(problem, validated(problem, found, parsed), parsed, until=until, rates=rates)
     if result.plan is None or not least > 0.0:

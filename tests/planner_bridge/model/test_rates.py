@@ -89,6 +89,14 @@ def test_seconds_are_learned_then_declared_then_assumed() -> None:
     assert rates.seconds(call, succeeded=False) == rates.seconds(call), "nothing else is known of those that fail"
 
 
+def test_few_measured_times_move_the_expected_seconds_of_a_call_a_little() -> None:
+    far, near = (Call("s", "move", ("hall", place)) for place in ("far", "near"))
+    rates = NO_RATES.grown("j", 1, [(far, Counts.of(End.SUCCEEDED, 16.0)), *[(near, Counts.of(End.SUCCEEDED, 2.0))] * 13])
+    assert [round(rates.mean(Call("s", "move", ("hall", place))), 1) for place in ("far", "near", "elsewhere")] == [7.3, 2.1, 3.0]
+    assert rates.mean(Call("s", "jump"), 7.0) == 7.0
+    assert rates.mean(far, succeeded=False) == rates.mean(far)
+
+
 @given(st.lists(st.floats(1.0, 1e5), min_size=5, max_size=60), st.floats(0.01, 1.0))
 def test_quantiles_are_within_two_percent_of_what_was_measured_and_means_are_exact(measured: list[float], share: float) -> None:
     call = Call("s", "move")

@@ -113,6 +113,22 @@ def test_each_call_takes_as_long_as_it_took() -> None:
     assert robot_time(problem, plan_of("move r1 a b", "move r1 b c"), rates) == pytest.approx(11.0, rel=0.001)
 
 
+def test_ways_between_places_are_told_apart() -> None:
+    """A robot sweeps the rooms of one house before those of another, because the way between houses took long."""
+    places, first = "abcdefg", "aceg"
+    ways = [f"{here}{there}" for here in places for there in places if here != there]
+    problem = rooms(goal=f"(and {' '.join(f'(clean {place})' for place in places)})", init="(at r1 a)", ways=" ".join(ways))
+    counted = [
+        (Call("move", "move", ("r1", *way)), Counts.of(End.SUCCEEDED, 1.0 if (way[0] in first) is (way[1] in first) else 9.0))
+        for way in ways
+        for _ in range(30)
+    ]
+    plan = solve(problem, learned=NO_RATES.grown("journal", 1, counted), improve=4.0).plan
+    assert plan is not None
+    moves = [step.arguments[1:] for step in plan.steps if step.action == "move"]
+    assert sum((here in first) is not (there in first) for here, there in moves) <= 2, "of six, if all ways are alike"
+
+
 def test_seconds_are_not_negative() -> None:
     with pytest.raises(InputError):
         Binding(seconds=-1.0)
