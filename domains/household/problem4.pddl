@@ -41,7 +41,7 @@
 
     (= (battery robot) 100)
     (= (navigation_use) 4) (= (grasp_use) 10) (= (door_use) 11)
-    (= (reserve) 25) (= (reserve_behind_doors) 90))
+    (= (reserve) 20) (= (reserve_behind_doors) 90))
 
   (:goal (and
     (on waste0 dumpster) (on waste1 dumpster) (not (open dumpster))

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 from pyrobosim.planning.actions import ExecutionResult, ExecutionStatus
 
+from planner_bridge.model.plan import Plan, PlanStep
 from planner_bridge.pipeline.loading import load
+from planner_bridge.planning.validate import why_invalid
 from planner_bridge.tasks.result import TaskResult
-from tests.support.e2e.household.in_process import HOUSEHOLD, SimulatorBackend, in_world, pursue
+from pnm.core.logic.conditions import Holds
+from tests.support.e2e.household.in_process import HOUSEHOLD, SimulatorBackend, in_world, problem_of, pursue
 from tests.support.e2e.household.simulator import has_reached
 
 
@@ -70,6 +74,14 @@ def test_a_charger_to_which_no_path_is_found_is_reached_from_elsewhere() -> None
     plan_path = robot.plan_path
     robot.plan_path = lambda start, goal: None if (robot.location.name, goal) == ("dining", "charger") else plan_path(start, goal)
     assert pursued(4, backend).goal_reached
+
+
+def test_no_drive_leads_to_work_for_which_the_battery_does_not_last() -> None:
+    problem = problem_of(4)
+    for charge, goes in ((30, True), (23, False)):
+        near = replace(problem, init={**problem.init, ("battery", "robot"): charge, ("open", "hall_closet_dining"): True})
+        drive = Plan((PlanStep("navigate", ("robot", "dining", "pantry", "kitchen")),))
+        assert (not why_invalid(replace(near, goal=Holds(("at", "robot", "pantry"))), drive)) is goes
 
 
 def test_a_door_that_falls_shut_is_opened_again() -> None:
