@@ -19,10 +19,13 @@ from importlib.util import find_spec
 from itertools import repeat
 from pathlib import Path
 from statistics import mean, median
-from typing import TYPE_CHECKING, Final
+from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING, Any, Final
 
 from pyrobosim.core import World
 
+from planner_bridge.explanations.learning import learn
+from planner_bridge.model.rates import NO_RATES, Rates
 from tests.support.e2e.household.in_process import in_world, pursue
 from tests.support.e2e.household.simulator import Work, counted, has_reached, load_world, without_waiting
 from tests.support.e2e.household.workshop_tree import WorkshopTree
@@ -56,7 +59,17 @@ class Trial:
     """Of a failure."""
 
 
-def our_way(settings: Mapping[str, float], problem: int, folder: Path | None, seed: int) -> Trial:
+def taught(settings: Mapping[str, Any], problem: int, folder: Path | None, seeds: Sequence[int]) -> Rates:
+    """Return what runs with these seeds teach."""
+    rates = NO_RATES
+    for seed in seeds:
+        with TemporaryDirectory() as kept:
+            pursue(in_world(problem, seed, folder), Path(kept) / "a.journal", **settings, learned=rates)
+            rates = learn(Path(kept) / "a.journal", rates)
+    return rates
+
+
+def our_way(settings: Mapping[str, Any], problem: int, folder: Path | None, seed: int) -> Trial:
     """Pursue the goal with planner, executor and replanning."""
     backend, began = in_world(problem, seed, folder), time.perf_counter()
     result = pursue(backend, **settings)
@@ -117,6 +130,7 @@ def main() -> None:
     parser.add_argument("--first", type=int, default=0, help="the first seed")
     parser.add_argument("--problem", type=int, choices=PROBLEMS, help="only this one")
     parser.add_argument("--improve", type=float, help="as of pnm run")
+    parser.add_argument("--taught", type=int, default=0, help="how many runs before, of the seeds before the first, teach ours their rates")
     parser.add_argument("--workshop", type=Path, default=ROOT.parent / "roscon24-workshop", help="the workshop's repository")
     parser.add_argument(
         "--worlds", type=Path, help="folder of world1.yaml to world4.yaml; else the workshop's, else a house of this project"
@@ -125,26 +139,27 @@ def main() -> None:
     parser.add_argument("--only-ours", action="store_true", help="only planner and executor")
     options = parser.parse_args()
     settings = {} if options.improve is None else {"improve": options.improve}
-    ways: dict[str, Callable[[int, Path | None, int], Trial]] = {OURS: partial(our_way, settings)}
+    others: dict[str, Callable[[int, Path | None, int], Trial]] = {}
     if not options.only_ours:
         if (trees := options.workshop / TREES).is_dir():
-            ways["the workshop's tree"] = partial(tree_way, partial(workshop_tree, trees))
+            others["the workshop's tree"] = partial(tree_way, partial(workshop_tree, trees))
         else:
             print(f"without the workshop's trees: there is no folder {trees} (--workshop names the repository)")
         if find_spec("py_trees"):
-            ways["py_trees by hand"] = partial(tree_way, tree_by_hand)
+            others["py_trees by hand"] = partial(tree_way, tree_by_hand)
         else:
             print("without the tree by hand: py_trees is not installed (pip install py_trees)")
     folders = (options.workshop / WORLDS, SHARED / "pyrobosim" / "worlds")
     worlds = options.worlds or next((folder for folder in folders if folder.is_dir()), None)
-    seeds = range(options.first, options.first + options.seeds)
+    seeds, before = range(options.first, options.first + options.seeds), range(options.first - options.taught, options.first)
     print(f"worlds of {worlds or 'this project'}, seeds {seeds.start} to {seeds.stop - 1}, load {os.getloadavg()[0]:.1f}")
     columns = ("actions", "driving", "median", "battery", "replans", "seconds", "ours")
     print(f"problem  {'':<22}{'reached':>10}{'false':>7}{''.join(f'{one:>9}' for one in columns)}")
     with ProcessPoolExecutor(options.jobs) as processes:
         for problem in [options.problem] if options.problem else PROBLEMS:
             trials: dict[str, list[Trial]] = {}
-            for name, way in ways.items():
+            ours = {OURS: partial(our_way, {**settings, "learned": taught(settings, problem, worlds, before)})}
+            for name, way in {**ours, **others}.items():
                 trials[name] = list(processes.map(way, repeat(problem), repeat(worlds), seeds))
                 show(problem, name, trials[name])
             for name in list(trials)[1:]:

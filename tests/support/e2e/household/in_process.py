@@ -10,12 +10,13 @@ from typing import Any, Final
 from uuid import UUID
 
 from pyrobosim.core import World
+from pyrobosim.planning.actions import ExecutionResult
 
 from planner_bridge.model.problem import Problem
-from planner_bridge.pipeline.achieve import achieve_at
+from planner_bridge.pipeline.goal_handle import KEPT_NOWHERE, GoalHandle, TaskJournal
 from planner_bridge.pipeline.loading import load
-from planner_bridge.tasks.result import TaskResult
-from planner_bridge.tasks.settings import Settings
+from planner_bridge.tasks.result import Stopwatch, TaskResult
+from planner_bridge.tasks.settings import Settings, TaskObserver
 from pnm.actions.backend import ClientBackend
 from pnm.actions.bindings_file import read_bindings
 from pnm.clock import run_async
@@ -41,14 +42,15 @@ def in_world(number: int, seed: int, folder: Path | None = None) -> SimulatorBac
     return SimulatorBackend(load_world(number, seed, folder), problem_of(number))
 
 
-def pursue(backend: SimulatorBackend, **settings: Any) -> TaskResult:
-    """Pursue the goal of the problem with planner, executor and replanning, as fast as it goes."""
+def pursue(backend: SimulatorBackend, journal: Path | None = None, **settings: Any) -> TaskResult:
+    """Pursue the goal of the problem with planner, executor and replanning, as fast as it goes; a journal is a new one."""
+    chosen, kept = Settings(bindings=backend.bindings, **settings), TaskJournal.of(journal) if journal else KEPT_NOWHERE
     with without_waiting():
-        return run_async(achieve_at(backend, backend.problem, Settings(bindings=backend.bindings, **settings)), virtual=True)
+        return run_async(GoalHandle(backend, backend.problem, chosen, TaskObserver(), Stopwatch(), kept).run(), virtual=True)
 
 
 class SimulatorBackend(ClientBackend):
-    """The robots of a world: an action client that performs every request at once, after which sensors report what is so.
+    """The robots of a world: an action client whose drives take their time on the clock of the loop; sensors report what is so after each.
 
     Attributes:
         world: the simulator's.
@@ -83,11 +85,14 @@ class SimulatorBackend(ClientBackend):
         asyncio.get_running_loop().call_soon(self._perform, request, report)
 
     def cancel(self, request: UUID, /) -> None:
-        """Do nothing: what was accepted is over."""
+        """Do nothing: what was accepted ends by itself."""
 
     def _perform(self, request: Request, report: Reporter) -> None:
         report(Accepted(request.id))
-        result = perform(self.world, request.goal["action"])
+        before, result = self.work.driving, perform(self.world, request.goal["action"])
+        asyncio.get_running_loop().call_later(self.work.driving - before, self._end, request, report, result)
+
+    def _end(self, request: Request, report: Reporter, result: ExecutionResult) -> None:
         self.performed(request.goal["action"]["type"])
         self._report()
         ended = Outcome(OutcomeKind.SUCCEEDED, {"execution_result": {"status": int(result.status), "message": result.message or ""}})
