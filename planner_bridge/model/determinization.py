@@ -38,7 +38,7 @@ class Determinization:
         """Return a plan of that problem as one of the problem that it was made of; that no plan is better there proves nothing here."""
         steps = []
         for step in plan.steps:
-            action, outcome = self.outcomes.get(step.action, (step.action, ""))
+            action, outcome = self.outcomes.get(step.action, (step.action, step.outcome))
             steps.append(replace(step, action=action, outcome=outcome))
         return replace(plan, steps=tuple(steps), is_best=False)
 

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import pytest
+from hypothesis import assume, given, settings
 
 from planner_bridge.model.determinization import determinization, untold
 from planner_bridge.model.grounding import ground_step
@@ -15,6 +18,8 @@ from planner_bridge.planning.validate import why_invalid
 from pnm.core.logic.effects import effects_text
 from pnm.core.machine.bindings import Binding, Bindings
 from pnm.core.message_fields import Flag, parse_field
+from tests.support.files import input_error
+from tests.support.pddl.random_problems import Features, problems
 
 DOMAIN = """(define (domain d) (:requirements :adl :non-deterministic) (:types t) (:predicates (p ?x - t) (q) (r))
     (:action try :parameters (?x - t) :effect (and (r) (oneof (and) (p ?x) (q) (p ?x))))
@@ -77,6 +82,17 @@ def test_an_outcome_that_there_is_not_makes_a_plan_wrong(step: PlanStep, why: st
 def test_no_outcome_that_leads_to_the_goal_is_no_plan() -> None:
     result = solve(problem("(q)", "(define (domain d) (:types t) (:predicates (p) (q)) (:action a :effect (oneof (p) (and))))"))
     assert (result.status, result.message) == (PlanningStatus.UNSOLVABLE, "(q) cannot be reached: no action brings it about")
+
+
+@settings(max_examples=20, deadline=None)
+@given(problems(Features(uncertain=True)))
+def test_plans_of_any_problem_say_outcomes_that_lead_to_the_goal(asked: Problem) -> None:
+    assume(all(input_error(partial(asked.outcomes, name)) is None for name in asked.domain.uncertain))
+    each = determinization(asked)
+    for result in (solve(asked, improve=0.0, timeout=1.0), solve(each.problem, improve=0.0, timeout=1.0)):
+        assert result.status not in (PlanningStatus.INVALID_PLAN, PlanningStatus.DISAGREEMENT, PlanningStatus.INVALID), result.message
+        if result.plan is not None:
+            assert why_invalid(asked, each.plan(result.plan)) == ""
 
 
 def test_what_servers_need_and_what_was_learned_holds_for_every_outcome() -> None:

@@ -82,7 +82,7 @@ def test_a_domain_alone() -> None:
 @settings(max_examples=20)
 @given(st.data(), st.booleans())
 def test_generated_problems_come_back(data: st.DataObject, timed: bool) -> None:
-    there_and_back(data.draw(generated.problems(generated.Features(timed=timed))), {})
+    there_and_back(data.draw(generated.problems(generated.Features(timed=timed, uncertain=True))), {})
 
 
 NAMES = st.from_regex(r"[A-Za-z0-9_@.][A-Za-z0-9_@.-]*", fullmatch=True)

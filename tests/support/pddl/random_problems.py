@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 from planner_bridge.model.problem import Domain, Problem
 from pnm.core.logic.conditions import TRUE, Any as AnyOf, Compare, Condition, Exists, ForAll, Holds, Implies, Not, conjunction
 from pnm.core.logic.domain import ActionSchema, Declaration, DurationConstraint
-from pnm.core.logic.effects import Effect, Effects, ForEach, Set, TimedChange, When
+from pnm.core.logic.effects import Alternative, Effect, Effects, ForEach, OneOf, Set, TimedChange, When
 from pnm.core.logic.expressions import DURATION, Arithmetic, Constant, Expression, Fluent, Value, ValueOf, Variable
 
 TYPES: Final = {"t": (), "u": ("t",), "w": ()}
@@ -37,6 +37,8 @@ class Features:
 
     timed: bool = False
     """Durative actions and timed facts."""
+    uncertain: bool = False
+    """Actions of several outcomes, which differ in facts."""
     exists: bool = True
     foreign: bool = False
     """Only what unified-planning takes as PDDL means it.
@@ -129,11 +131,15 @@ class _Maker:
         return _one_way(drawn, {})
 
     def effect(self) -> Effects:
-        match self.draw(st.sampled_from(["set", "set", "set", "when", "forall"])):
+        match self.draw(st.sampled_from(["set", "set", "set", "when", "forall", *(["one of"] * 3 if self.features.uncertain else [])])):
+            case "one of":
+                ways = self.draw(st.sampled_from([(None,), (None, None), (None, None, None), (0.25, 0.75), (0.5, 0.5, 0.0)]))
+                few = replace(self, features=replace(self.features, foreign=True))
+                return (OneOf(tuple(Alternative(few.sets(in_loop=True) if self.draw(st.booleans()) else (), way) for way in ways)),)
             case "set":
                 return self.sets()
             case "when":
-                return (When(self.condition(1), self.sets()),)
+                return (When(self.condition(1), self.effect() if self.features.uncertain else self.sets()),)
             case _:
                 variables = self.variables()
                 inner = self.inside(variables)
@@ -170,6 +176,8 @@ def _one_way(effects: Effects, used: dict[str, bool]) -> Effects:
             case ForEach(variables, inner):
                 if left := _one_way(inner, used):
                     kept.append(ForEach(variables, left))
+            case OneOf():
+                kept.append(effect)
     return tuple(kept)
 
 
@@ -212,7 +220,7 @@ def _action(draw: Draw, domain: Domain, features: Features, name: str) -> Action
     bounds = _bounds(make)
     make = replace(make, with_duration=True)
     conditions = [make.condition(1) if draw(st.booleans()) else TRUE for _ in range(3)]
-    start = make.effects() if draw(st.booleans()) else ()
+    start = replace(make, features=replace(features, uncertain=False)).effects() if draw(st.booleans()) else ()
     return ActionSchema(name, parameters, *conditions, start, make.effects(), bounds)
 
 
