@@ -206,18 +206,18 @@ def expanded(
     """
     for effect in effects:
         match effect:
-            case ForEach(variables, inner):
-                for chosen in choices(variables, state, env):
-                    yield from expanded(inner, state, chosen, happening=happening)
-            case OneOf():
-                assert not happening, f"one of the outcomes happens, and none was chosen: {effect}"
-                yield from expanded(effect.effects, state, env)
             case Set():
                 yield effect, env
             case When(condition, inner):
                 yield effect, env
                 if not happening or evaluate(condition, state, env) is True:
                     yield from expanded(inner, state, env, happening=happening)
+            case ForEach(variables, inner):
+                for chosen in choices(variables, state, env):
+                    yield from expanded(inner, state, chosen, happening=happening)
+            case OneOf():
+                assert not happening, f"one of the outcomes happens, and none was chosen: {effect}"
+                yield from expanded(effect.effects, state, env)
             case _:
                 assert_never(effect)
 
@@ -372,7 +372,7 @@ MAX_OUTCOMES: Final = 64
 
 def has_outcomes(effects: Effects) -> bool:
     """Return whether the effects may turn out in several ways."""
-    return any(isinstance(effect, OneOf) for effect in every_effect(effects))
+    return any(not isinstance(effect, Set) and (isinstance(effect, OneOf) or has_outcomes(effect.effects)) for effect in effects)
 
 
 def outcomes(effects: Effects, state: State) -> tuple[Alternative, ...]:

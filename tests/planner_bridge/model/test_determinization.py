@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import json
 from functools import partial
+from pathlib import Path
 
 import pytest
 from hypothesis import assume, given, settings
@@ -18,7 +20,8 @@ from planner_bridge.planning.validate import why_invalid
 from pnm.core.logic.effects import effects_text
 from pnm.core.machine.bindings import Binding, Bindings
 from pnm.core.message_fields import Flag, parse_field
-from tests.support.files import input_error
+from tests.support.e2e.command_line import pnm
+from tests.support.files import input_error, written
 from tests.support.pddl.random_problems import Features, problems
 
 DOMAIN = """(define (domain d) (:requirements :adl :non-deterministic) (:types t) (:predicates (p ?x - t) (q) (r))
@@ -82,6 +85,15 @@ def test_an_outcome_that_there_is_not_makes_a_plan_wrong(step: PlanStep, why: st
 def test_no_outcome_that_leads_to_the_goal_is_no_plan() -> None:
     result = solve(problem("(q)", "(define (domain d) (:types t) (:predicates (p) (q)) (:action a :effect (oneof (p) (and))))"))
     assert (result.status, result.message) == (PlanningStatus.UNSOLVABLE, "(q) cannot be reached: no action brings it about")
+
+
+def test_the_command_says_which_outcomes_its_plan_expects(tmp_path: Path) -> None:
+    asked = problem("(p a)", DOMAIN.replace("(:action each", "(:action other"))
+    files = written(tmp_path / "d.pddl", write_domain(asked.domain)), written(tmp_path / "p.pddl", write_problem(asked))
+    found = json.loads(pnm("plan", *map(str, files), "--json", "--planner", "race:kairos").stdout)
+    assert [(step["action"], step["outcome"]) for step in found["steps"]] == [("try", "2")]
+    assert found["is_best"] is False
+    assert "try(a) -> 2" in pnm("plan", *map(str, files)).stdout
 
 
 @settings(max_examples=20, deadline=None)

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, strategies as st
 
 from planner_bridge.pipeline.carry_out import carry_out
-from planner_bridge.tasks.result import PlanResult
+from planner_bridge.tasks.result import TASKS, PlanResult
 from pnm.actions.bindings_file import read_bindings
 from pnm.actions.faults import Fault, FaultKind, Faults, HiddenChange
 from pnm.actions.simulated_robots import arguments_of, result_of
@@ -18,6 +18,7 @@ from pnm.core.machine.plan_graph import GroundAction
 from pnm.core.machine.requests import Outcome, OutcomeKind
 from pnm.core.message_fields import Comparison, FieldValue, parse_field
 from pnm.errors import InputError
+from pnm.journal.resume import replayed
 from tests.support.files import written
 
 
@@ -265,6 +266,12 @@ def test_a_result_sets_a_fluent(tmp_path: Path, shown: str, is_reached: bool) ->
     result = carry_out_text(tmp_path, MEASURE.replace("SHOWN", shown))
     assert result.goal_reached is is_reached
     assert result.variables == {}
+
+
+def test_a_replay_sets_the_same_fluent(tmp_path: Path) -> None:
+    journal = tmp_path / "run.journal"
+    assert carry_out(written(tmp_path, MEASURE.replace("SHOWN", "21.5")), journal=journal).goal_reached
+    assert replayed(journal, TASKS).world.value(("temperature", "t1")) == 21.5
 
 
 def test_a_step_says_which_fluent_its_result_sets(tmp_path: Path) -> None:
