@@ -13,11 +13,11 @@ from planner_bridge.pddl.comments import CommentTable
 from planner_bridge.pddl.reader import MAX_BYTES, comments
 from planner_bridge.pddl.writer import write_domain as domain_text, write_problem as problem_text
 from planner_bridge.planning.solve import solve
-from planner_bridge.yaml.reader import Contents, read
+from planner_bridge.yaml.reader import read
 from planner_bridge.yaml.write_plan import plan_entries
 from planner_bridge.yaml.writer import write_bindings, write_domain, write_problem
 from pnm.core.logic.domain import ProblemModel
-from pnm.core.machine.bindings import NO_BINDINGS, Binding, Bindings
+from pnm.core.machine.bindings import NO_BINDINGS, Bindings
 from pnm.core.message_fields import Combined, Test
 from pnm.errors import InputError, Tolerated, suggestion
 from pnm.files.text import read_any_text
@@ -84,21 +84,18 @@ def imported(file: Path) -> Imported:
         texts["problem.pddl"] = problem_text(contents.problem, contents.of("problem"))
         model = problem = parse_problem(texts["problem.pddl"], domain, "problem.pddl")
         warnings = (*contents.domain.warnings, *problem.warnings)
-    bound = {name: _numbered(binding, name, contents, model) for name, binding in contents.bindings.actions.items()}
+    bound, before = dict(contents.bindings.actions), contents.problem or ProblemModel("", contents.domain)
+    for name, binding in contents.bindings.actions.items():
+        if binding.outcomes:  # which have no names in PDDL, and are equal there if they differ in nothing else
+            numbers, tests = {frozenset(way.effects): way.name for way in model.outcomes(name)}, dict[str, list[Test]]()
+            for way in before.outcomes(name):
+                if way.name in binding.outcomes:
+                    tests.setdefault(numbers[frozenset(way.effects)], []).append(binding.outcomes[way.name])
+            told = {number: some[0] if len(some) == 1 else Combined("any", tuple(some)) for number, some in tests.items()}
+            bound[name] = replace(binding, outcomes=told)
     if text := write_bindings(replace(contents.bindings, actions=bound)):
         texts["bindings.yaml"] = text
     return Imported(texts, warnings)
-
-
-def _numbered(binding: Binding, action: str, contents: Contents, model: ProblemModel) -> Binding:
-    """Return the binding with the outcomes called as they are in PDDL, where they have no names."""
-    if not binding.outcomes:
-        return binding
-    numbers, tests = {frozenset(way.effects): way.name for way in model.outcomes(action)}, dict[str, list[Test]]()
-    for way in (contents.problem or ProblemModel("", contents.domain)).outcomes(action):
-        if way.name in binding.outcomes:
-            tests.setdefault(numbers[frozenset(way.effects)], []).append(binding.outcomes[way.name])
-    return replace(binding, outcomes={name: some[0] if len(some) == 1 else Combined("any", tuple(some)) for name, some in tests.items()})
 
 
 def _both(domain: Path, problem: Path) -> CommentTable:
