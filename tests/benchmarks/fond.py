@@ -32,6 +32,7 @@ HEAD: Final = (
     "| problem | success | optimum | PRP | ffr | actions | optimum | PRP | searches | first action | closed | PRP | entries | PRP "
     f"| ms an action | false | hangs |\n|---|{'---:|' * 16}"
 )
+WAYS: Final = {"whole": "planner, machine and executor", "policy": "the policy alone", "replanner": "without policies"}
 PAGE: Final = ROOT / "docs" / "reference" / "benchmarks.md"
 BEGIN: Final = "<!-- measured: python -m tests.benchmarks.fond --write -->\n"
 END: Final = "<!-- end of what is played -->\n"
@@ -108,7 +109,7 @@ def main() -> None:
     print(f"\n{table}")
     if options.write:
         before, rest = PAGE.read_text(encoding="utf-8").split(BEGIN)
-        told = f"{way.way}, {options.trials} trials of a problem, load {os.getloadavg()[0]:.1f}"
+        told = f"{WAYS[way.way]}, {options.trials} trials of a problem, load {os.getloadavg()[0]:.1f} at the end"
         PAGE.write_text(f"{before}{BEGIN}\nMeasured: {told}.\n\n{table}\n\n{END}{rest.split(END)[1]}", encoding="utf-8")
 
 

@@ -45,7 +45,7 @@ class Kept(Memory):
     """Keeps what was found, for all trials of a problem. The mutable state is that, and the number of searches.
 
     Attributes:
-        told: of the policy that was found first: the seconds that this took, its entries, whether it is proved.
+        told: of the policy for the initial state, if there is one: the seconds that it took, its entries, whether it is proved.
     """
 
     def __init__(self) -> None:
@@ -63,7 +63,7 @@ class Kept(Memory):
         self.searches += 1
         began = time.perf_counter()
         result = search(timeout)
-        if isinstance(policy := result.policy, Policy) and not self.policy:
+        if isinstance(policy := result.policy, Policy) and self.searches == 1:
             self.policy = policy
             self.told = {"closed": time.perf_counter() - began, "size": len(policy.entries), "proved": policy.is_proved}
         if result.plan:
