@@ -173,6 +173,19 @@ def success_is_true(story: Story) -> Iterator[str]:
                     yield f"task {record.task} has reached its goal, and {part} is not so"
 
 
+def an_outcome_is_told_as_it_was(story: Story) -> Iterator[str]:
+    """A call that says which of its outcomes it has had says what its robot drew, or leaves that open as well."""
+    calls, drawn, told = _calls(story), dict[tuple[UUID, str], object](), dict[tuple[UUID, str], str]()
+    for record in story.records:
+        if isinstance(record, Happened) and isinstance(record.event, Ended) and "outcome" in record.event.outcome.result:
+            drawn[calls[record.event.request]] = record.event.outcome.result["outcome"]
+    for id, replayed in story.replay.runs.items():
+        told |= {(replayed.made.task, str(result.call.action)): result.declared for result in _results(story, id) if result.declared}
+    for call, declared in told.items():
+        if drawn.get(call, declared) not in (declared, *declared.split(" or ")):
+            yield f"{call[1]} has come to {drawn[call]}, and is said to have come to {declared}"
+
+
 def nothing_is_sent_before_its_intent_is_kept(story: Story) -> Iterator[str]:
     """Every request that leaves a process is in a record that was committed before."""
     intended: set[UUID] = set()
@@ -247,6 +260,7 @@ LAWS: Final[tuple[Law, ...]] = (
     a_call_has_one_live_request,
     a_call_is_tried_as_often_as_it_may_be,
     success_is_true,
+    an_outcome_is_told_as_it_was,
 )
 
 

@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import random
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from copy import copy
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Final
 from uuid import UUID
 
 from pnm.core.logic.computed_values import Layer, Literal, Operation, Query, Update
 from pnm.core.logic.conditions import TRUE, Condition, Holds, Not, conjunction
-from pnm.core.logic.effects import Set
+from pnm.core.logic.effects import Alternative, Set
 from pnm.core.logic.expressions import Constant, Fluent
 from pnm.core.machine.bindings import Binding, Bindings
 from pnm.core.machine.failure_causes import Cause
@@ -154,6 +155,11 @@ class _Drawing:
             resources=rng.choice([(), ("arm",), ("arm",), ("arm", "leg")]),
             returns=(("found", Literal.of(number)),) if rng.random() < 0.3 else (),
         )
+        beside = copy(rng)  # so that tasks without several outcomes are drawn as if there were none
+        if beside.random() < 0.3:
+            more = Set((beside.choice([SEEN, HELD]), self.task, f"more{number}"), Constant(True))
+            ways = Alternative(action.end_effects, name="usual"), Alternative((*action.end_effects, more), name="more")
+            action = replace(action, outcomes=ways, outcome="usual")
         recoveries = (self._recovery(),) if may_recover and rng.random() < 0.25 else ()
         return ActionCall(number, action, recoveries=recoveries)
 
