@@ -12,7 +12,7 @@ from enum import Enum
 from functools import cache
 from math import ceil
 from operator import attrgetter
-from typing import Final, Protocol
+from typing import Any, Final, Protocol
 
 from planner_bridge.model.grounding import initial_knowledge, modelled_duration
 from planner_bridge.model.problem import Problem
@@ -99,6 +99,18 @@ class PlanningStatus(Enum):
 
 class Policy(Protocol):
     """Says what to do wherever the outcomes of actions may lead."""
+
+    @property
+    def entries(self) -> tuple[tuple[Any, ...], ...]:
+        """All that it says, as values that a journal keeps."""
+
+    @property
+    def chance(self) -> float:
+        """That of the goal."""
+
+    @property
+    def is_proved(self) -> bool:
+        """Whether it is proved to reach the goal."""
 
     def stretch(self, state: State, /) -> Plan | None:
         """Return what to do from a state up to the next action with several outcomes, or to the goal; None if it says nothing of it."""

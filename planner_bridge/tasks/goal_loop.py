@@ -88,7 +88,7 @@ class GoalLoop:
         self._control = context.control
         self._given = given
         self._monitor = TaskMonitor(context, kept)
-        self._search = PlanSearch(context, self._monitor)
+        self._search = PlanSearch(context, self._monitor, kept)
         self._log, self._kept_run = restored_log(kept) if kept else (TaskLog(history or History()), None)
         self._retry_at: float | None = None
         self._facts_changed = asyncio.Event()

@@ -14,7 +14,7 @@ from uuid import UUID
 
 from planner_bridge.model.forbidden_actions import ANY, ForbiddenCall, calls_served_by, forbid
 from planner_bridge.model.grounding import initial_knowledge
-from planner_bridge.model.plan import CancelToken, Plan, PlanningResult, PlanningStatus, Policy
+from planner_bridge.model.plan import CancelToken, Plan, PlanningResult, PlanningStatus
 from planner_bridge.model.problem import Problem
 from planner_bridge.model.progression import NotProjectable, calls_of, projected_state, stretch
 from planner_bridge.ordering.interference import (
@@ -34,6 +34,7 @@ from planner_bridge.tasks.context import Conflict, TaskContext
 from planner_bridge.tasks.control import TaskEnded
 from planner_bridge.tasks.plan_execution import PlanExecution
 from planner_bridge.tasks.replanning import History, Progress
+from planner_bridge.tasks.result import PolicyNote, notes_of
 from planner_bridge.tasks.task import Task
 from pnm.clock import in_own_thread, is_virtual
 from pnm.core.execution.run_view import RunView
@@ -42,6 +43,7 @@ from pnm.core.logic.expressions import fluent_text
 from pnm.core.machine.plan_graph import ActionCall, PlanGraph
 from pnm.core.machine.requests import CallOutcome
 from pnm.errors import InputError
+from pnm.journal.replay import ReplayedTask
 from pnm.tasks import Code, OnConflict, TaskState
 
 _ELSEWHERE: Final = 60.0
@@ -119,13 +121,14 @@ class PlanSearch:
     search that is ahead; the search for a better rest, and what it has found.
     """
 
-    def __init__(self, context: TaskContext, monitor: TaskMonitor) -> None:
+    def __init__(self, context: TaskContext, monitor: TaskMonitor, kept: ReplayedTask | None = None) -> None:
         self._context = context
         self._control = context.control
         self._monitor = monitor
         self.origin = 0.0
         """The time from which the times of the plan count."""
-        self.policy: Policy | None = None
+        notes = notes_of(kept, PolicyNote) if kept else []
+        self.policy = notes[-1].policy(context.problem) if notes else None
         """What the last plan is the beginning of, if actions have several outcomes."""
         self._has_found = False
         self._ahead: _SearchAhead | None = None
@@ -335,7 +338,10 @@ class PlanSearch:
         if result.plan is None:
             context.observer.unplanned(result)
         else:
-            self._has_found, self._is_best, self.policy = True, result.plan.is_best, result.policy
+            self._has_found, self._is_best = True, result.plan.is_best
+            if (result.policy or self.policy) is not None:
+                self.policy = result.policy
+                context.note(PolicyNote.of(result.policy))
             needed = _needed(now, result.plan, going_on)
             conflicts = context.scheduler.conflicts(context.task, needed)
             if weighs and any(not conflict.yields for conflict in conflicts):

@@ -11,7 +11,8 @@ from math import isfinite
 from typing import Any, ClassVar, Final, Literal, TypeAlias, TypeVar
 
 from planner_bridge.model import forbidden_actions
-from planner_bridge.model.plan import PlanningStatus
+from planner_bridge.model.plan import PlanningStatus, Policy
+from planner_bridge.model.problem import Problem
 from planner_bridge.tasks import replanning
 from planner_bridge.tasks.replanning import BetterRest, Decision, Foreseen, GiveUp, History, NextStretch, PlanAgain, ResumePlan
 from pnm.core.execution.call_results import CallResult, Failure, RunResult
@@ -330,6 +331,32 @@ class GoalNote:
 
 
 @dataclass(frozen=True, slots=True)
+class PolicyNote:
+    """The policy that the last plan is the beginning of; without entries if there is none."""
+
+    is_whole: ClassVar = True
+    """The last one says all."""
+    entries: tuple[tuple[Any, ...], ...] = ()
+    chance: float = 1.0
+    is_proved: bool = False
+
+    def __str__(self) -> str:
+        return f"noted a policy for {counted(len(self.entries), 'kind')} of states"
+
+    @staticmethod
+    def of(policy: Policy | None) -> PolicyNote:
+        """Return the note of a policy."""
+        return PolicyNote(tuple(map(tuple, policy.entries)), policy.chance, policy.is_proved) if policy else PolicyNote()
+
+    def policy(self, problem: Problem) -> Policy | None:
+        """Return the policy for a problem."""
+        from planner_bridge.planning.policies import policy  # here, because most actions have one outcome
+
+        entries = tuple([policy.Entry(*entry) for entry in self.entries])
+        return policy.Policy(problem, entries, self.chance, self.is_proved) if entries else None
+
+
+@dataclass(frozen=True, slots=True)
 class TrajectoryNote:
     """The results of the constraints and preferences of a task.
 
@@ -349,7 +376,7 @@ class TrajectoryNote:
         return "noted how far the trajectory constraints are fulfilled"
 
 
-_NOTES: Final = (GoalNote, TrajectoryNote, Violation, HelpAsked, HelpEnded)
+_NOTES: Final = (GoalNote, PolicyNote, TrajectoryNote, Violation, HelpAsked, HelpEnded)
 TASKS: Final = RECORDS.including((*_NOTES, *value_classes(replanning, forbidden_actions, trajectory)))
 """The codec of the journal of tasks."""
 

@@ -119,6 +119,8 @@ class Known(Memory):
 class Picks:
     """Lifts what has fallen, and picks what stands."""
 
+    entries, chance, is_proved = (), 1.0, False
+
     def stretch(self, state: State, /) -> Plan | None:
         lifted = (PlanStep("lift", ("mug",)),) if state.value(("floor", "mug")) else ()
         return Plan((*lifted, PlanStep("pick", ("mug",), float(len(lifted)))))
