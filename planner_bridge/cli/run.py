@@ -243,7 +243,7 @@ def looked_at(
         if rates is not None:
             from planner_bridge.explanations.learning import learn_into  # here, because nothing is learned from most runs
 
-            learn_into(rates, kept.place)
+            learn_into(rates, kept.place, is_kept=journal is not None)
 
 
 class _RunOnPage(TaskObserver):

@@ -8,9 +8,10 @@ one story.
 
 from __future__ import annotations
 
+from bisect import bisect_right
 from collections import deque
 from collections.abc import Callable, Iterable, Mapping
-from contextlib import closing
+from contextlib import closing, suppress
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Final, NamedTuple, assert_never
@@ -266,6 +267,21 @@ class TaskHistory:
         own = self.own_runs
         requests, failures = sum(run.requests for run in own), sum(len(run.failures) for run in own)
         return TaskCounts(self.plans, max(0, len(own) - 1), requests, failures, has_run=bool(own))
+
+
+def beginning(kept: KeptJournal, number: float, reach: int = 1) -> int:
+    """Return the record behind which one has to begin to know all from the segment of a record on; raises as `KeptJournal.rows` does.
+
+    What went on when that segment began has begun behind it as well, and so for as many segments before as `reach` says.
+    """
+    segments, since = kept.segments(), 0
+    if not segments:
+        return 0
+    first = segments[max(0, bisect_right(segments, number) - reach)]
+    with suppress(PnmError):  # which whoever replays it raises with its place
+        began = next((TASKS.value(row.text) for _, row in kept.rows(first - 1)), None)
+        since = began.since if isinstance(began, records.SharedBegan) else 0
+    return (since or first) - 1
 
 
 class SegmentStart(NamedTuple):

@@ -9,13 +9,13 @@ from pathlib import Path
 from typing import Final
 from uuid import UUID
 
-from planner_bridge.explanations.history import JournalHistory, RunHistory
-from planner_bridge.model.rates import NO_RATES, Call, Counts, End, Rates, update_rates
+from planner_bridge.explanations.history import JournalHistory, RunHistory, beginning
+from planner_bridge.model.rates import GONE, NO_RATES, Call, Counts, End, Rates, update_rates
 from planner_bridge.tasks.result import TASKS
 from pnm.core.machine.failure_causes import Cause
 from pnm.core.net.no_collection import no_collection
 from pnm.files.database.place import Place
-from pnm.journal.records import RunRetired, RunSucceeded
+from pnm.journal.records import RunRetired, RunStands, RunSucceeded
 from pnm.journal.resume import steps_after
 from pnm.journal.store import KeptJournal
 
@@ -23,17 +23,23 @@ _SEEN: Final = {Cause.TIMED_OUT: End.TIMED_OUT, Cause.EFFECTS_MISSING: End.EFFEC
 """Ends that the run has seen, whatever its server says of the request."""
 
 
-def learn(place: Place, rates: Rates = NO_RATES) -> Rates:
+def learn(place: Place, rates: Rates = NO_RATES, *, is_kept: bool = True) -> Rates:
     """Return rates with what a journal tells and they have not counted yet; what is under way is counted when it is over.
+
+    Args:
+        is_kept: whether the journal stays: else nobody will have it counted again.
 
     Raises:
         JournalError: it is no journal, or one of another version, or cannot be read now.
         PnmError: as `steps_after` does.
     """
     with closing(KeptJournal(place)) as kept, no_collection():
-        history, journal, attempts = JournalHistory(lambda key: TASKS.value(kept.part(key))), kept.id(), list[tuple[Call, Counts]]()
+        history, attempts = JournalHistory(lambda key: TASKS.value(kept.part(key))), list[tuple[Call, Counts]]()
+        journal = kept.id() if is_kept else f"{GONE}{kept.id()}"
         counted, over = rates.journals.get(journal, 0), set[UUID]()
-        for step in steps_after(kept, TASKS, history.apply, 0):
+        for step in steps_after(kept, TASKS, history.apply, beginning(kept, counted)):
+            if isinstance(step.record, RunStands) and step.record.results is not None:
+                over.add(step.record.made.run)
             if isinstance(step.record, RunRetired | RunSucceeded) and step.record.run not in over:
                 over.add(step.record.run)
                 if step.number > counted:
@@ -41,9 +47,9 @@ def learn(place: Place, rates: Rates = NO_RATES) -> Rates:
     return rates.grown(journal, max(counted, history.number), attempts)
 
 
-def learn_into(file: Path, place: Place) -> None:
+def learn_into(file: Path, place: Place, *, is_kept: bool = True) -> None:
     """Have a file of rates count what a journal tells as well; raises as `learn` and `update_rates` do."""
-    update_rates(file, partial(learn, place))
+    update_rates(file, partial(learn, place, is_kept=is_kept))
 
 
 def attempts_of(history: JournalHistory, run: RunHistory) -> Iterator[tuple[Call, Counts]]:

@@ -39,6 +39,10 @@ LEAST: Final = 0.001
 """The fewest counted seconds."""
 MOST_CALLS: Final = 200
 """Calls of an action that are counted apart; those of more are counted by their first arguments, as many as keep to it."""
+GONE: Final = "gone/"
+"""Before the ids of journals that are no more: `MOST_GONE` of these are kept, the last by the alphabet, so that two files that have
+counted the same ones still share some."""
+MOST_GONE: Final = 100
 ENOUGH: Final = 20
 """Attempts from which a call, its first arguments or its server have a chance of their own. What is known of more calls counts as
 as many attempts."""
@@ -258,7 +262,10 @@ class Rates:
 
     def grown(self, journal: str, last: int, attempts: Iterable[tuple[Call, Counts]]) -> Rates:
         """Return them with the attempts of a journal, up to and with a record."""
-        return Rates(_summed((*self.calls.items(), *attempts)), {**self.journals, journal: last})
+        journals = {**self.journals, journal: last}
+        for id in sorted(id for id in journals if id.startswith(GONE))[:-MOST_GONE]:
+            del journals[id]
+        return Rates(_summed((*self.calls.items(), *attempts)), journals)
 
     def merge(self, other: Rates) -> Rates:
         """Return the rates of both; if all that one has counted is in the other, that one.

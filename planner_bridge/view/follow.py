@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import asyncio
 import logging
-from bisect import bisect_right
 from collections.abc import AsyncIterator, Callable
 from contextlib import suppress
 from dataclasses import replace
@@ -16,13 +15,13 @@ from math import inf
 from threading import Lock
 from typing import Final, TypeVar
 
+from planner_bridge.explanations.history import beginning
 from planner_bridge.pipeline.odds import NOTHING_KNOWN, KnownRobots
 from planner_bridge.tasks.result import TASKS
-from planner_bridge.view.story import Story, View, view_of
+from planner_bridge.view.story import SEGMENTS, Story, View, view_of
 from pnm.errors import PnmError
 from pnm.files.database.place import Place
 from pnm.journal.kept import Rewritten
-from pnm.journal.records import SharedBegan
 from pnm.journal.resume import steps_after
 from pnm.journal.store import KeptJournal, Seen
 
@@ -100,15 +99,9 @@ class Reader:
 
     def _begin(self, kept: KeptJournal, number: float) -> None:
         """Begin a story that reaches back to the segment before that of a record, and to the beginnings of the tasks that went on there."""
-        segments = kept.segments()
         self._stuck = None
         self._story = Story(lambda key: TASKS.value(kept.part(key)), self._known)
-        if segments:
-            before, since = segments[max(0, bisect_right(segments, number) - 2)], 0
-            with suppress(PnmError):  # which whoever replays it raises with its place
-                began = next((TASKS.value(row.text) for _, row in kept.rows(before - 1)), None)
-                since = began.since if isinstance(began, SharedBegan) else 0
-            self._story.number = (since or before) - 1
+        self._story.number = beginning(kept, number, SEGMENTS)
 
     def _replay(self, kept: KeptJournal, number: float) -> None:
         assert self._story is not None

@@ -38,7 +38,7 @@ from pnm.tasks import TaskState, percent
 
 EVENTS: Final = 200
 """Records that are shown in words, besides those that are marked."""
-_SEGMENTS: Final = 2
+SEGMENTS: Final = 2
 """The number of segments that it reaches back to."""
 
 Thing: TypeAlias = Mapping[str, Any]
@@ -80,7 +80,7 @@ class Story(JournalHistory):
     """The story of a journal so far. Everything in it is mutable state; `apply` is the only thing that changes it."""
 
     def __init__(self, source: Callable[[str], records.MachineSource] | None = None, known: KnownRobots = NOTHING_KNOWN) -> None:
-        super().__init__(source, _SEGMENTS)
+        super().__init__(source, SEGMENTS)
         self._robots = known
         self.facts: Mapping[str, Thing] = {}
         """A new mapping whenever one of them changes."""

@@ -14,7 +14,7 @@ from click.testing import CliRunner
 from planner_bridge.cli.commands import app
 from planner_bridge.explanations.history import JournalHistory
 from planner_bridge.explanations.learning import learn
-from planner_bridge.model.rates import NO_RATES, Call, Counts, End, Rates, read_rates, update_rates
+from planner_bridge.model.rates import GONE, MOST_GONE, NO_RATES, Call, Counts, End, Rates, read_rates, update_rates
 from planner_bridge.node.spare_time import Learner
 from planner_bridge.pddl import read_domain
 from planner_bridge.pipeline.achieve import achieve
@@ -94,6 +94,19 @@ def test_a_journal_that_has_grown_adds_what_is_new(place: Place) -> None:
     assert before.merge(after) == after
 
 
+def test_a_journal_that_has_grown_is_read_from_where_it_was_read_last(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    rates, applied, apply = NO_RATES, list[int](), JournalHistory.apply
+    monkeypatch.setattr(JournalHistory, "apply", lambda history, number, *more: applied.append(number) or apply(history, number, *more))
+    for _ in range(3):
+        run_with(FaultKind.ABORT, tmp_path / "j")
+        before, rates = rates, learn(tmp_path / "j", rates)
+        applied.clear()
+    assert learn(tmp_path / "j", before) == rates == learn(tmp_path / "j")
+    last, again = max(before.journals.values()), applied[: applied.index(1)]
+    assert 1 < min(again) <= last + 1
+    assert again == [*range(min(again), max(again) + 1)]
+
+
 def test_a_copy_is_the_same_journal(tmp_path: Path) -> None:
     rates = run_with(FaultKind.ABORT, tmp_path / "j")
     copy_journal(tmp_path / "j", tmp_path / "copy")
@@ -132,6 +145,7 @@ def test_runs_learn_as_they_end(tmp_path: Path) -> None:
         rates = rates_for(tmp_path / "domain.pddl", None)
         assert rates
         assert len(rates.journals) == number, "each run has had a journal"
+        assert {id[: len(GONE)] for id in rates.journals} == {GONE}, "which is no more"
     assert ends_of(rates) == {End.SUCCEEDED: 16}
     elsewhere = tmp_path / "elsewhere.yaml"
     assert CliRunner().invoke(app, ["run", domain, problem, "--learn", "--rates", str(elsewhere), "-q"]).exit_code == 0
@@ -139,6 +153,16 @@ def test_runs_learn_as_they_end(tmp_path: Path) -> None:
     assert learned
     assert ends_of(learned) == {End.SUCCEEDED: 8}
     assert rates_for(tmp_path / "domain.pddl", None) == rates
+
+
+def test_a_file_does_not_grow_with_journals_that_are_no_more(tmp_path: Path) -> None:
+    rates, attempt = NO_RATES.grown("kept", 7, ()), (Call("go", "go"), Counts.of(End.LOST, 1.0))
+    for _ in range(2 * MOST_GONE):
+        rates = rates.grown(f"{GONE}{uuid4()}", 1, [attempt])
+    assert len(rates.journals) == MOST_GONE + 1
+    assert rates.journals["kept"] == 7
+    assert read_rates(written(tmp_path / "rates.yaml", rates.text())) == rates
+    assert ends_of(rates)[End.LOST] == 2 * MOST_GONE
 
 
 def test_plans_are_measured_by_the_rates_beside_the_domain(tmp_path: Path) -> None:
