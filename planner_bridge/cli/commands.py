@@ -122,7 +122,9 @@ def plan(
         from pnm.actions.faults import NO_FAULTS
         from pnm.core.machine.bindings import NO_BINDINGS
 
-        odds = odds_of_goal(loaded, result.plan, Settings(bindings=bound or NO_BINDINGS), NO_FAULTS, learned, seconds=0.0)
+        odds = odds_of_goal(
+            loaded, result.plan, Settings(bindings=bound or NO_BINDINGS), NO_FAULTS, learned, policy=result.policy, seconds=0.0
+        )
     if as_json:
         steps = [
             {"action": step.action, "arguments": [*step.arguments], "start": round(step.start, 6), "duration": round(step.duration, 6)}

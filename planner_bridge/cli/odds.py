@@ -68,7 +68,7 @@ def odds(
                 options.print_json({"chance": None, "alone": None, "with_new_plans": None, "reason": result.reason})
             return 1
         settings, known = replace(settings, bindings=bound or DEFAULTS.bindings), options.faults_in(faults, loaded.vocabulary)
-        found = odds_of_goal(loaded, result.plan, settings, known, learned or DEFAULTS.learned, seconds=seconds)
+        found = odds_of_goal(loaded, result.plan, settings, known, learned or DEFAULTS.learned, policy=result.policy, seconds=seconds)
     if as_json:
         options.print_json(found.as_json())
     else:

@@ -218,6 +218,8 @@ def odds_of_calls(graph: PlanGraph, bindings: Bindings, attempts: Attempts) -> t
             return None
         if any(recovery.causes - {Cause.CANCELED} for recovery in step.recoveries):  # nobody cancels here
             return None
+        if step.action.outcomes:  # what follows depends on which one it is
+            return None
         attempt = attempts(step.action) if step.action.operation is None else _CERTAIN
         if attempt is None:
             return None

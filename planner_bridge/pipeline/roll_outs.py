@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Final
 
 from planner_bridge.model.grounding import initial_knowledge
-from planner_bridge.model.plan import Plan, PlanningResult, PlanningStatus
+from planner_bridge.model.plan import Plan, PlanningResult, PlanningStatus, Policy
 from planner_bridge.model.problem import Problem
 from planner_bridge.model.rates import NO_RATES, Rates
 from planner_bridge.model.world import simulated_backend
@@ -37,9 +37,19 @@ MOST: Final = 2000
 
 
 def odds_of_goal(
-    problem: Problem, plan: Plan, settings: Settings, faults: Faults, rates: Rates = NO_RATES, *, seconds: float = SECONDS, most: int = MOST
+    problem: Problem,
+    plan: Plan,
+    settings: Settings,
+    faults: Faults,
+    rates: Rates = NO_RATES,
+    *,
+    policy: Policy | None = None,
+    seconds: float = SECONDS,
+    most: int = MOST,
 ) -> GoalOdds:
     """Return the odds of a goal with this plan; what follows a failure is planned with the first plan that is found.
+
+    What follows the outcomes of actions that have several is as their policy says.
 
     Args:
         faults: of simulated robots, which declare the chances of attempts; without any, these are learned or assumed.
@@ -53,7 +63,8 @@ def odds_of_goal(
     alone = None if calls is None else exact(graph, calls, initial_knowledge(problem))
     if not seconds or (alone and (alone.chance == 1.0 or not settings.limits.replans)):
         return GoalOdds(alone, None, calls or ())
-    world, memory = known.world(attempts), RememberedPlans(problem, plan, time.process_time() + seconds)
+    first = PlanningResult(PlanningStatus.SOLVED, plan, policy=policy)
+    world, memory = known.world(attempts), RememberedPlans(problem, first, time.process_time() + seconds)
     chosen = replace(settings, improve=0.0, memory=memory, ask_for_help=False)
 
     def run(number: int) -> tuple[TaskResult, KnowledgeBase] | None:
@@ -123,15 +134,14 @@ def _rolled(
 
 
 class RememberedPlans(Memory):
-    """The memory of a plan of a problem, and of what was found after it. The mutable state is all that was found.
+    """The memory of what was found for a problem, and after it. The mutable state is all that was found.
 
     Args:
         until: when there is no time for searches any more, on the clock of the processor.
     """
 
-    def __init__(self, problem: Problem, plan: Plan, until: float) -> None:
+    def __init__(self, problem: Problem, first: PlanningResult, until: float) -> None:
         self._until = until
-        first = PlanningResult(PlanningStatus.SOLVED, plan)
         self._plans: dict[frozenset[object], list[tuple[Problem, PlanningResult]]] = {frozenset(problem.init.items()): [(problem, first)]}
         self._machines: dict[int, list[tuple[PlanGraph, ProvedMachine]]] = {}
         self.is_late = False
@@ -185,7 +195,7 @@ class VettedPlan(Memory):
         if result.plan is None or self.odds is not None:
             return result
         seconds = 0.0 if self._least is None else SECONDS
-        odds = odds_of_goal(problem, result.plan, self._settings, self._faults, self._rates, seconds=seconds)
+        odds = odds_of_goal(problem, result.plan, self._settings, self._faults, self._rates, policy=result.policy, seconds=seconds)
         if self._least is not None and (refusal := odds.refusal(self._least)):
             message = f"one was found, and is not begun: {refusal}"
             return PlanningResult(PlanningStatus.NO_PLAN, message=message, planner=result.planner)

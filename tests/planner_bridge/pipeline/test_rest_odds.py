@@ -2,9 +2,16 @@
 
 from __future__ import annotations
 
+from math import sqrt
+
 import pytest
 
+from planner_bridge.ordering.plan_to_graph import plan_graph
+from planner_bridge.pddl import parse_domain, parse_problem
 from planner_bridge.pipeline.odds import KnownRobots, RestOfPlan, exact, odds_of_calls
+from planner_bridge.pipeline.roll_outs import odds_of_goal
+from planner_bridge.planning.solve import solve
+from planner_bridge.tasks.settings import Settings
 from pnm.actions.faults import Fault, FaultKind, Faults
 from pnm.core.execution.call_results import CallResult
 from pnm.core.knowledge_base import KnowledgeBase
@@ -72,3 +79,21 @@ def test_calls_that_need_the_same_thing_take_turns(resources: tuple[str, ...], l
     odds = exact(PlanGraph(CALLS), calls, KnowledgeBase())
     assert odds is not None
     assert min(odds.times) == lasts
+
+
+RIVER = """(define (domain river) (:requirements :strips :non-deterministic) (:predicates (near) (far) (island))
+  (:action wade :precondition (near) :effect (and (not (near)) (oneof (far) (and) (island) (island))))
+  (:action swim :precondition (island) :effect (and (not (island)) (probabilistic 0.8 (far)))))"""
+
+
+def test_what_outcomes_lead_to_is_rolled_out_by_the_policy() -> None:
+    problem = parse_problem("(define (problem p) (:domain river) (:init (near)) (:goal (far)))", parse_domain(RIVER))
+    result, certain = solve(problem), Faults((Fault("wade", FaultKind.ABORT, chance=0.0),))
+    assert result.plan is not None
+    odds = odds_of_goal(problem, result.plan, Settings(), certain, policy=result.policy, seconds=600.0, most=150)
+    assert odds.alone is None, "the plan expects outcomes"
+    assert odds.rolled is not None
+    assert abs(odds.rolled.chance - 0.65) < 4.0 * sqrt(0.65 * 0.35 / 150)
+    graph = plan_graph(problem, result.plan)
+    results = {call.index: CallResult(call) for call in graph.calls}
+    assert RestOfPlan(graph, Bindings(), results, {}, 0.0, 0.0).odds(KnownRobots(faults=certain)) is None
