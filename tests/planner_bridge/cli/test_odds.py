@@ -100,3 +100,5 @@ def test_learned_rates_beside_the_domain_are_used(tmp_path: Path) -> None:
     low, high = odds["alone"]["interval"]
     assert low < odds["chance"] < high
     assert f"odds     {100 * odds['chance']:.1f} % if nothing is planned anew" in pnm("plan", str(domain), str(problem)).stdout
+    (tmp_path / "rates.yaml").write_text("journals: none\n")
+    assert pnm("net", str(domain), str(problem)).returncode == 2, "its plan is that of pnm plan"
