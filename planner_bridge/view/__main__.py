@@ -39,10 +39,13 @@ def main() -> int:
     if line := sys.stdin.readline():
         # here, because what it needs is an extra, which is there by now
         from planner_bridge.pipeline.loading import known_from
+        from planner_bridge.pipeline.odds import NOTHING_KNOWN
         from planner_bridge.view.app import Channel, Control, serve_page
 
         channel, told = Channel(_write), json.loads(line)
-        control, known = Control(controlled, token, channel), known_from(told["rates"], told["faults"])
+        control, known = Control(controlled, token, channel), NOTHING_KNOWN
+        with suppress(InputError):  # the command says what is wrong
+            known = known_from(told["rates"], told["faults"])
         serve_page(place_of(told["journal"]), opened, lambda: _left_alone(channel), control, known)
     return 0
 
