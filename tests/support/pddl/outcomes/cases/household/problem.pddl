@@ -1,11 +1,11 @@
-; The battery lasts if nothing goes wrong. Who charges first gets there whatever happens.
+; At the door with a battery for one attempt and the way to the charger: it sticks in one of five attempts, and may be locked.
 (define (problem household) (:domain household)
   (:objects
     robot - robot waste - item dining office trash - room table dumpster charger - furniture
     hall_dining_trash hall_dining_office hall_office_trash - hallway
     b0 b10 b20 b30 b40 b50 b60 b70 b80 b90 b100 - level)
   (:init
-    (at robot table) (in robot dining) (free robot) (on waste table) (battery robot b70) (charger charger) (full b100)
+    (at robot hall_dining_trash) (in robot dining) (free robot) (on waste table) (battery robot b20) (charger charger) (full b100)
     (below b0 b10) (below b10 b20) (below b20 b30) (below b30 b40) (below b40 b50) (below b50 b60) (below b60 b70) (below b70 b80) (below b80 b90) (below b90 b100)
     (open hall_dining_office) (open hall_office_trash)
     (belongs_to table dining) (belongs_to charger dining) (belongs_to dumpster trash)
