@@ -8,8 +8,9 @@ attempts before its start was announced and for those after.
 
 An end that must wait for other events (`awaited`) is reached by the robot when it likes. What nothing reports of it is
 believed then, so that a match that went out too early is out for all who need its light; its checks and its `fork`
-wait. A retry moves a token from *budget* to *spent*; giving up takes all of *spent*, by an arc whose weight is the
-whole budget. A recovery that the plan gives for a cause replaces retrying.
+wait. Which of several outcomes it was is only known with its checks. A retry moves a token from *budget* to *spent*;
+giving up takes all of *spent*, by an arc whose weight is the whole budget. A recovery that the plan gives for a cause
+replaces retrying.
 
 A call that is under way already, sent by another run, is taken over as it is: its first attempt begins at `running`.
 A run that is paused at once has its calls cancelled: they begin anew later, and none of their budget is spent.
@@ -109,6 +110,11 @@ class CallTerms(Terms[ActionCall]):
         return relied_on or bool(self.step.release) or (self.context.repeated and self.step.action.expected != TRUE)
 
     @property
+    def may_turn_out(self) -> bool:
+        """Whether its action has several outcomes."""
+        return bool(self.step.action.outcomes)
+
+    @property
     def asks_at_its_end(self) -> bool:
         """Whether a check after success, or an effect, may have to ask what the run does not know."""
         action, recoveries = self.step.action, self.step.recoveries
@@ -143,6 +149,7 @@ class CallKey(NamedTuple):
     must_happen: bool
     has_invariant: bool
     asks_at_its_end: bool
+    may_turn_out: bool
     retries: int
     accept: float
     cancel: float
@@ -193,6 +200,7 @@ class CallBlock(Block[ActionCall]):
             self._must_happen,
             step.action.invariant != TRUE,
             terms.asks_at_its_end,
+            terms.may_turn_out,
             terms.retries,
             binding.accept,
             binding.cancel,
@@ -361,13 +369,14 @@ class CallBlock(Block[ActionCall]):
 
     def _finish(self, phase: str) -> None:
         """From success to done, once the effects are seen."""
+        believed = self.awaited and not self.terms.may_turn_out
         if self.awaited:
-            self.fire(Rule("end", action=TransitionAction.FINISH), "returned", "ended")
+            self.fire(Rule("end", action=TransitionAction.FINISH if believed else None), "returned", "ended")
             # The places are given back at once: here they are only looked at, and `fork` takes them in the end.
             self.add(Rule("await"), ["ended", *self.awaited], ["finished", *self.awaited])
         # Before the check of the effects: the plan may want to react to a success that only looks like one.
         self._own_checks(Cause.AFTER, "finished")
-        finish = None if self.awaited else TransitionAction.FINISH
+        finish = None if believed else TransitionAction.FINISH
         effects_hold = Rule("effects_hold", guards.EffectsSeen(OWN), action=finish, outcome=CallOutcome.SUCCEEDED)
         self.fire(effects_hold, "finished", "done")
         recover = [phase + "recover"]

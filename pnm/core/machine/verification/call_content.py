@@ -72,7 +72,7 @@ class Asked(CallTerms):
         return (
             *(self.announces, self.awaited, self.is_timed, self.is_made, bool(self.resources)),
             *(step.under_way, step.latest_start < inf, step.deadline < inf, step.action.invariant != TRUE),
-            *(self.asks_at_its_end, self.retries, binding.accept, binding.cancel, binding.when_lost),
+            *(self.asks_at_its_end, self.may_turn_out, self.retries, binding.accept, binding.cancel, binding.when_lost),
             *(self.context.repeated, self.context.starts_anew),
             *((one.causes, one.then, one.times, one.when, bool(one.chain.steps)) for one in step.recoveries),
         )
@@ -423,7 +423,7 @@ def _after_its_request(net: CallNet, call: Asked) -> Iterator[_Compared]:
     finish = TransitionAction.FINISH
     # the effects of a call that was stopped are written where they are seen, all the same
     written: set[tuple[type, TransitionAction | None]] = {(guards.Accepts, TransitionAction.BEGIN), (guards.EffectsSeen, finish)}
-    if call.awaited:
+    if call.awaited and not call.may_turn_out:
         written |= {(guards.EffectsSeen, None), (guards.Always, finish)}
     writing = [rule for rule in net.rules if isinstance(rule.guard, guards.Accepts | guards.EffectsSeen) or rule.action is finish]
     yield CallRule.EFFECTS, written, {(type(rule.guard), rule.action) for rule in writing}

@@ -14,8 +14,9 @@ from pnm.core.machine.bindings import Binding, Bindings
 from pnm.core.machine.plan_graph import GroundAction
 from pnm.core.machine.requests import Ended, Outcome, OutcomeKind
 from pnm.core.message_fields import Flag, parse_field
-from tests.support.runs.commands import report
+from tests.support.runs.commands import accepted, report
 from tests.support.runs.handover import going
+from tests.support.runs.plan_graphs import plan_of
 
 HELD, FLOOR, BROKEN = ("held", "cup"), ("floor", "cup"), ("broken", "cup")
 LAG = 1.0
@@ -95,6 +96,17 @@ def test_what_nothing_tells_apart_is_unknown_until_it_is_reported() -> None:
     run.handle(Tick(), 2.0 + LAG)
     assert run.result_of(0).outcome == "slipped or burst or missed"
     assert known(run) == (None, UNKNOWN, UNKNOWN)
+
+
+def test_an_end_that_waits_for_others_believes_no_outcome_before_it_is_looked_for() -> None:
+    world = KnowledgeBase(sensed={"held": LAG})
+    run = accepted(plan_of(PICK, GroundAction("watch", duration=9.0), orders=("1e<0e",)), at=1.0, world=world)
+    pick, watch = run.open_requests
+    run.handle(Ended(pick, Outcome(OutcomeKind.SUCCEEDED)), 2.0)
+    assert known(run) == (None, None, None)
+    report(run, HELD, True, 2.5)
+    run.handle(Ended(watch, Outcome(OutcomeKind.SUCCEEDED)), 3.0)
+    assert (run.over, run.result_of(0).outcome, known(run)) == (True, "held", (True, None, None))
 
 
 def test_what_no_outcome_brings_about_is_no_success() -> None:
