@@ -9,8 +9,9 @@ and judges whether the goal holds: a task that says so wrongly is a false succes
 of more actions than --limit has failed. Optima are of all states that can be reached, where these are at most 20,000.
 
 `--replanner` asks a planner about the outcomes as actions to choose from, and again when another one happens: without policies.
-`--policy-only` makes a policy once and plays it alone, without machine and executor. What was found for a state is kept for all trials of
-a problem: the first action and the closed policy are those of the first trial. What is in the file of --json is not played again.
+`--policy-only` makes a policy once and plays it alone, without machine and executor; where there is none, no goal is reached. What was
+found for a state is kept for all trials of a problem: the first action and the closed policy are those of the first trial. What is in the
+file of --json is not played again; the file is written every few seconds.
 `--write` puts a summary of what was played, set by set, into docs/reference/benchmarks.md.
 """
 
@@ -19,6 +20,7 @@ from __future__ import annotations
 import argparse
 import json
 import os
+import time
 from collections.abc import Mapping
 from fnmatch import fnmatch
 from pathlib import Path
@@ -32,6 +34,8 @@ HEAD: Final = (
     "| problem | success | optimum | PRP | ffr | actions | optimum | PRP | searches | first action | closed | PRP | entries | PRP "
     f"| ms an action | false | hangs |\n|---|{'---:|' * 16}"
 )
+SAVED_EVERY: Final = 5.0
+"""Seconds between two savings of what was found."""
 WAYS: Final = {"whole": "planner, machine and executor", "policy": "the policy alone", "replanner": "without policies"}
 PAGE: Final = ROOT / "docs" / "reference" / "benchmarks.md"
 BEGIN: Final = "<!-- measured: python -m tests.benchmarks.fond --write -->\n"
@@ -91,11 +95,15 @@ def main() -> None:
     way = Way("replanner" if options.replanner else "policy" if options.policy_only else "whole", options.limit, options.seconds)
     kept = json.loads(options.json.read_text()) if options.json and options.json.exists() else {}
     print(f"load {os.getloadavg()[0]:.1f}\n\n{HEAD}")
+    saved = time.monotonic()
     sets: dict[str, dict[str, tuple[dict[str, Any], dict[str, Any]]]] = {}
     for pair in json.loads((options.problems / "manifest.json").read_text()):
         if any(fnmatch(pair["name"], pattern) for pattern in options.only.split(",")):
             found = kept.setdefault(pair["name"], {})
-            fill(options.problems / pair["name"], way, options.trials, found)
+            for _ in fill(options.problems / pair["name"], way, options.trials, found):
+                if options.json and time.monotonic() > saved + SAVED_EVERY:
+                    options.json.write_text(json.dumps(kept))
+                    saved = time.monotonic()
             if options.json:
                 options.json.write_text(json.dumps(kept))
             print(row(pair, found), flush=True)

@@ -55,9 +55,9 @@ def test_too_many_states_have_no_optimum():
 
 def test_trials_are_played_once_and_judged_by_the_world():
     found, pair = {}, {"name": "no_towel", "prp": {"succeeded": "100"}}
-    fill(CASES / "no_towel", Way("replanner", 100, 60.0), 2, found)
+    list(fill(CASES / "no_towel", Way("replanner", 100, 60.0), 2, found))
     first = list(found["trials"])
-    fill(CASES / "no_towel", Way("replanner", 100, 60.0), 4, found)
+    list(fill(CASES / "no_towel", Way("replanner", 100, 60.0), 4, found))
     trials = found["trials"]
     assert trials[:2] == first
     assert [one["seed"] for one in trials] == [0, 1, 2, 3]
@@ -67,9 +67,9 @@ def test_trials_are_played_once_and_judged_by_the_world():
 
 def test_a_trial_of_too_many_actions_has_failed_and_one_without_an_end_hangs():
     found = {}
-    fill(CASES / "latches", Way("replanner", 0, 60.0), 1, found)
+    list(fill(CASES / "latches", Way("replanner", 0, 60.0), 1, found))
     assert [(one["claimed"], one["reached"]) for one in found["trials"]] == [(False, False)]
     found = {"optimum": None}
-    fill(CASES / "latches", Way("replanner", 100, 0.0), 9, found)
+    list(fill(CASES / "latches", Way("replanner", 100, 0.0), 9, found))
     assert [one["why"] for one in found["trials"]] == [HANGS] * 3
     assert behind({"name": "latches", "ffr": {"succeeded": "100"}}, found) == ["ffr"]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from math import sqrt
 from multiprocessing import get_context
 from multiprocessing.connection import Connection
@@ -13,7 +13,7 @@ from statistics import mean
 from typing import Any, Final, NamedTuple
 
 from planner_bridge.model.grounding import initial_knowledge
-from planner_bridge.model.plan import PlanningResult
+from planner_bridge.model.plan import PlanningResult, PlanningStatus
 from planner_bridge.model.problem import Problem
 from planner_bridge.pddl import parse_domain, parse_problem
 from planner_bridge.pipeline.achieve import achieve_at
@@ -66,7 +66,7 @@ class Kept(Memory):
         if isinstance(policy := result.policy, Policy) and self.searches == 1:
             self.policy = policy
             self.told = {"closed": time.perf_counter() - began, "size": len(policy.entries), "proved": policy.is_proved}
-        if result.plan:
+        if result.status in (PlanningStatus.SOLVED, PlanningStatus.UNSOLVABLE):
             alike.append((problem, result))
         return result
 
@@ -132,8 +132,11 @@ def play(results: Connection, folder: Path, way: Way, seeds: list[int], has_opti
     os._exit(0)  # the planner's library complains of what is left at a proper end
 
 
-def fill(folder: Path, way: Way, trials: int, known: dict[str, Any]) -> None:
-    """Play the trials that are not known yet, in processes; one that says nothing for too long is ended, and its trial hangs."""
+def fill(folder: Path, way: Way, trials: int, known: dict[str, Any]) -> Iterator[None]:
+    """Play the trials that are not known yet, in processes; one that says nothing for too long is ended, and its trial hangs.
+
+    Yields whenever more is known.
+    """
     in_a_row = 0
     known.setdefault("trials", [])
     while left := [seed for seed in range(trials) if seed not in {one["seed"] for one in known["trials"]}]:
@@ -150,6 +153,7 @@ def fill(folder: Path, way: Way, trials: int, known: dict[str, Any]) -> None:
                     in_a_row = 0
                 else:
                     known |= told
+                yield
         except EOFError:
             why = "crashed"
         process.kill()

@@ -107,7 +107,7 @@ class Chance:
             case ["exists", variables, part]:
                 return any(self.holds(part, state, chosen) for chosen in self.choices(typed(variables), env))
             case ["=", left, right]:
-                return env.get(left, left) == env.get(right, right)
+                return bool(env.get(left, left) == env.get(right, right))
             case _:
                 return (atom := bound(node, env)) in state or atom in self.static
 
