@@ -10,6 +10,7 @@ import asyncio
 import random
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
+from copy import copy
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Final, TypeAlias
@@ -28,7 +29,7 @@ from pnm.knowledge.source import Asker, SourceError
 from pnm.language.plan import HandWrittenPlan
 from pnm.language.runner import Program
 from pnm.tasks import Code, OnConflict, TaskRefused, TaskState
-from tests.support.tasks.scenarios.scenario_worlds import ScenarioWorld, scenario_worlds
+from tests.support.tasks.scenarios.scenario_worlds import ScenarioWorld, scenario_worlds, uncertain
 from tests.support.tasks.simulation import TaskSimulation, simulate_tasks
 
 Tell: TypeAlias = Callable[[str], None]
@@ -121,6 +122,8 @@ def draw(rng: random.Random, *, is_exclusive: bool = True) -> Scenario:
     """Draw all of a script but what people do."""
     world = rng.choice(scenario_worlds())
     world = world if is_exclusive else replace(world, resources={})
+    if copy(rng).random() < 0.2:  # so that the others are drawn as if there were none of these
+        world = uncertain(world)
     asks = rng.random() < 0.3
     settings = Settings(
         bindings=_bindings(rng, world, asks=asks),

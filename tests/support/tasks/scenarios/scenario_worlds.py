@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import random
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from itertools import permutations
 
 from planner_bridge.model.problem import Problem
 from planner_bridge.pipeline.loading import load
+from pnm.core.logic.effects import Alternative, Effects, OneOf
 from pnm.core.logic.expressions import Fluent, Value
 from tests.support.files import ROOT
 from tests.support.pddl.problems import fleet, matches, rooms, tanks
@@ -116,3 +117,14 @@ def scenario_worlds() -> tuple[ScenarioWorld, ...]:
         ScenarioWorld(tanks("8"), {"pour": ("{from}", "{to}")}, _tanks_goal, lambda rng: "(unlock b)\n(pour a b)", _tanks_change),
         ScenarioWorld(delivery, robots, _delivery_goal, lambda rng: "(move r1 store hall)\n(move r1 hall store)", _delivery_change),
     )
+
+
+def uncertain(world: ScenarioWorld) -> ScenarioWorld:
+    """The same world, in which actions that change nothing at their start may also turn out to have done nothing."""
+    domain = world.problem.domain
+
+    def ways(effects: Effects) -> Effects:
+        return (OneOf((Alternative(effects, name="done"), Alternative(name="nothing"))),)
+
+    found = {name: one if one.start_effects else replace(one, end_effects=ways(one.end_effects)) for name, one in domain.actions.items()}
+    return replace(world, problem=replace(world.problem, domain=replace(domain, actions=found)))
