@@ -8,6 +8,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from math import inf
+from operator import attrgetter
 from typing import TYPE_CHECKING, Final
 
 import kairos
@@ -15,9 +16,10 @@ import kairos
 from planner_bridge.model.plan import ASSUMED_SECONDS, CancelToken, Plan, PlanningResult, PlanningStatus, PlanStep, SpelledNames, plan_text
 from planner_bridge.model.problem import TOTAL_TIME, Domain, Problem, once_per_domain
 from planner_bridge.pddl.writer import write_domain, write_problem
-from planner_bridge.planning.normal_form import in_whole_numbers
+from planner_bridge.planning.normal_form import in_whole_numbers, with_durations
 from pnm.core.logic.conditions import TOLERANCE
 from pnm.core.logic.expressions import ValueOf
+from pnm.core.machine.plan_graph import GroundAction
 from pnm.errors import InputError
 
 if TYPE_CHECKING:
@@ -47,6 +49,8 @@ _PART: Final = 0.1
 _BESIDE: Final = {"ehc": 0.2, "goals": 0.2, "novelty": 0.6}
 """Other ways of searching in Kairos, which it has beside its own one. Once there is a plan: one after the other, each for this share
 of the time for improvement. While there is none: one more whenever so much time has passed again. Each finds plans for some problems."""
+_TOGETHER: Final = 0.3
+"""Share of the time for improvement for plans in which calls go on side by side, where these take less time."""
 _PATIENCE: Final = 1.0
 """Seconds of processor time of this process, without a plan, after which the first of the other ways of searching joins."""
 _STATUS: Final[Mapping[kairos.Status, PlanningStatus]] = {
@@ -143,7 +147,8 @@ def search_with_kairos(
     one, and the plan may be another one the next time; not with `improve` at 0, which asks for that first plan.
 
     Once there is a plan, a better one is looked for: `improve` seconds, or a share of the time that the plan is expected to take, for
-    robots wait. The searches go on, and meanwhile parts of the best plan are replaced by better ones.
+    robots wait. The searches go on, and meanwhile parts of the best plan are replaced by better ones. Where robots can work side by side,
+    one more looks for plans with times, of which only the order of the calls is kept.
 
     Where actions take differently long, the first search is for few calls all the same, which it finds much sooner; those that come
     beside it, or after it if it ends, are for little time.
@@ -156,6 +161,7 @@ def search_with_kairos(
         weighed = parsed if (dear := priced(problem, rates)) is problem else parse_for_kairos(dear)
     search: kairos.Search = start(timeout=timeout)
     searches, others, best = [search], iter(_BESIDE.items()), _Best(problem, parsed, rates)
+    together: kairos.Search | None = None
     until, began, patience = time.monotonic() + timeout, time.process_time(), inf if improve == 0.0 else _PATIENCE
     helpers = iter(sorted(_BESIDE, key=_BESIDE.__getitem__, reverse=True))
     first = news = deadline = inf
@@ -182,11 +188,14 @@ def search_with_kairos(
         if best.plan is not None:
             allowed = best.worth * (1.0 if known is None else AT_WORK) if improve is None else improve
             deadline = first + allowed if improve is not None else min(first + allowed, news + allowed * _IN_VAIN)
+            if together is None and improve != 0.0 and (course := best.together()):
+                together = begin(course, timeout=allowed * _TOGETHER)
+                searches.append(together)
             if news < now and not any(beside.running() for beside in searches[1:]) and (other := next(others, None)):
                 searches.append(begin(weighed, timeout=allowed * other[1], search=other[0]))
         if is_over and best.plan is not None and weighed is not parsed and search is searches[0]:
             searches.append(search := begin(weighed, timeout=max(_POLL, until - now)))
-        elif is_over and not (by_call and next(parts, False)):
+        elif is_over and not ((together and together.running()) or (by_call and next(parts, False))):
             break
     is_best = not search.running() and search.stop_reason is kairos.StopReason.PROVEN_OPTIMAL
     is_best &= weighed is parsed or search is not searches[0]
@@ -232,8 +241,25 @@ class _Best:
             found = search.best()  # an empty plan is false, and a plan
             if found is not None and self._seen.get(number) != found.cost:
                 self._seen[number] = found.cost
-                is_better |= self._keep(_plan(found, self._problem))
+                plan = _plan(found, self._problem)
+                if found.temporal and not self._problem.is_timed:
+                    steps = enumerate(sorted(plan.steps, key=attrgetter("start")))
+                    is_better |= self.take(replace(plan, steps=tuple(replace(step, start=float(at), duration=0.0) for at, step in steps)))
+                else:
+                    is_better |= self._keep(plan)
         return is_better
+
+    def together(self) -> kairos.Problem | None:
+        """Return the problem with the seconds of calls as durations, as Kairos reads it; None if that makes no difference."""
+        if self._rates is None or not self._counts or self._rates.have_turns(self._problem):
+            return None
+        from planner_bridge.model.exclusive_resources import with_turns
+
+        seconds = {name: self._rates.expected(GroundAction(name)) for name in self._problem.domain.actions}
+        try:
+            return parse_for_kairos(with_turns(with_durations(self._problem, seconds), self._rates.bindings))
+        except InputError:
+            return None
 
     def take(self, plan: Plan) -> bool:
         """Take a plan that no search has found, if it is better and Kairos' validator accepts it; return whether it was taken."""

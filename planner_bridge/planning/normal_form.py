@@ -6,7 +6,7 @@ deleted and added at once, scaling effects, and counters that no condition reads
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, fields, replace
 from decimal import Decimal
@@ -15,7 +15,7 @@ from typing import Any, Final, assert_never
 
 from planner_bridge.model.problem import Domain, Metric, Problem, once_per_domain
 from pnm.core.logic.conditions import TRUE, All, Compare, Condition, Exists, Holds, Not, conjuncts, every_part, ground, names
-from pnm.core.logic.domain import ActionSchema
+from pnm.core.logic.domain import ActionSchema, DurationConstraint
 from pnm.core.logic.effects import Effects, ForEach, OneOf, Set, TimedChange, When, ground_effects
 from pnm.core.logic.expressions import (
     DURATION,
@@ -292,3 +292,29 @@ class _Scale:
                 return expression
             case _:
                 raise _NotWhole
+
+
+# --- durations ------------------------------------------------------------------------------------
+
+
+def with_durations(problem: Problem, seconds: Mapping[str, float]) -> Problem:
+    """Return a problem without times in which actions last so many seconds, and what they take away is gone from their starts on.
+
+    Numbers that only count are left out.
+    """
+    problem = replace(problem, metric=None)
+    domain = domain_with_durations(problem.domain, tuple(seconds.items()), functions_in_use(problem))
+    return replace(problem, domain=domain)
+
+
+@once_per_domain
+def domain_with_durations(domain: Domain, seconds: tuple[tuple[str, float], ...], functions: frozenset[str]) -> Domain:
+    """Return the domain whose actions last so many seconds, with the numbers of these functions alone."""
+    actions, counting = dict(domain.actions), domain.functions.keys() - functions
+    for name, lasts in seconds:
+        effects = [effect for effect in actions[name].end_effects if not (isinstance(effect, Set) and effect.fluent[0] in counting)]
+        taken = tuple(effect for effect in effects if isinstance(effect, Set) and effect.value == Constant(False))
+        left = tuple(effect for effect in effects if effect not in taken)
+        duration = (DurationConstraint("=", Constant(lasts)),)
+        actions[name] = replace(actions[name], duration=duration, start_effects=taken, end_effects=left)
+    return replace(domain, actions=actions, requirements=tuple(dict.fromkeys((*domain.requirements, ":durative-actions"))))

@@ -10,6 +10,7 @@ from planner_bridge.model.rates import NO_RATES, Call, Counts, End, Rates
 from planner_bridge.ordering.robot_time import ExpectedTimes, priced, robot_time
 from planner_bridge.pddl import parse_domain, parse_problem
 from planner_bridge.planning.solve import solve
+from planner_bridge.planning.validate import why_invalid
 from pnm.core.machine.bindings import Binding, Bindings
 from pnm.errors import InputError
 from tests.support.pddl.problems import rooms
@@ -55,6 +56,18 @@ def test_calls_that_go_on_at_the_same_time_count_once_unless_they_need_the_same_
     assert robot_time(problem, plan, ExpectedTimes(SLOW_SWEEP)) == 10.0
     assert robot_time(problem, plan, ExpectedTimes(one_broom)) == 20.0
     assert robot_time(problem, plan_of("move r1 a b", "move r1 b c", "sweep r2 b"), ExpectedTimes(SLOW_SWEEP)) == 10.0
+
+
+@pytest.mark.parametrize(("robots", "seconds"), [(1, 80.0), (2, 40.0)])
+def test_robots_share_the_work(robots: int, seconds: float) -> None:
+    ways, names = "ab ba ac ca ad da ae ea", "bcde"
+    at = " ".join(f"(at r{number + 1} a)" for number in range(robots))
+    problem = rooms(at, f"(and {' '.join(f'(clean {room})' for room in names)} {at})", ways)
+    of_one = {name: Binding(seconds=lasts, resources=("{r}",)) for name, lasts in (("move", 5.0), ("sweep", 10.0))}
+    plan = solve(problem, bindings=Bindings(of_one), improve=2.0).plan
+    assert plan is not None
+    assert plan.seconds == seconds
+    assert not why_invalid(problem, plan)
 
 
 def test_nothing_is_called_best_where_calls_can_go_on_at_the_same_time() -> None:
