@@ -26,8 +26,8 @@ from pnm.core.execution.call_results import CallResult
 from pnm.core.execution.run_view import RunView
 from pnm.core.knowledge_base import KnowledgeBase
 from pnm.core.logic.conditions import evaluate
-from pnm.core.logic.effects import names_written
-from pnm.core.logic.expressions import Fluent, fluent_text, is_number
+from pnm.core.logic.effects import Set, names_written
+from pnm.core.logic.expressions import Arithmetic, Constant, Fluent, fluent_text, is_number
 from pnm.core.machine.bindings import Bindings, WhenLost, is_open
 from pnm.core.machine.failure_causes import Cause
 from pnm.core.machine.plan_graph import ActionCall, GroundAction, Moment, PlanEvent, PlanGraph, necessary
@@ -426,8 +426,12 @@ def learned(rates: Rates, bindings: Bindings) -> Attempts:
     return attempts
 
 
-def played(attempts: Attempts) -> Faults:
-    """Return the faults of simulated robots whose attempts end so."""
+def played(attempts: Attempts, spent: frozenset[str] = frozenset()) -> Faults:
+    """Return the faults of simulated robots whose attempts end so.
+
+    Args:
+        spent: functions that every attempt decreases by as much, and calls on average by what their action says.
+    """
 
     def drawn(action: GroundAction, random: Random) -> Fault | None:
         if (attempt := attempts(action)) is None:
@@ -435,7 +439,15 @@ def played(attempts: Attempts) -> Faults:
         (ending,) = random.choices(attempt.endings, [one.chance for one in attempt.endings])
         seconds, weights = zip(*ending.seconds, strict=True)
         kind = FaultKind.SLOW if ending.leads is Leads.DONE else FaultKind.ABORT
-        return Fault(action.name, kind, seconds=random.choices(seconds, weights)[0], for_good=ending.leads is Leads.FAILED)
+        share = Constant(attempt.chance(Leads.DONE))
+        uses = {
+            effect: replace(effect, value=Arithmetic("*", (share, effect.value)))
+            for effect in action.end_effects
+            if isinstance(effect, Set) and effect.operation == "decrease" and effect.fluent[0] in spent and not action.outcomes
+        }
+        whole = tuple([uses.get(effect, effect) if isinstance(effect, Set) else effect for effect in action.end_effects]) if uses else None
+        lasts, for_good = random.choices(seconds, weights)[0], ending.leads is Leads.FAILED
+        return Fault(action.name, kind, seconds=lasts, for_good=for_good, succeeded=whole, failed=tuple(uses.values()))
 
     return Faults(drawn=drawn)
 
@@ -456,9 +468,9 @@ class KnownRobots:
             return declared(self.faults, bindings, 0.0 if is_timed else 1.0)
         return learned(self.rates, bindings)
 
-    def world(self, attempts: Attempts) -> Faults:
-        """Return the faults of simulated robots whose attempts have these odds."""
-        return self.faults if self.faults != NO_FAULTS else played(attempts)
+    def world(self, attempts: Attempts, spent: frozenset[str] = frozenset()) -> Faults:
+        """Return the faults of simulated robots whose attempts have these odds, and use up what is spent as in `played`."""
+        return self.faults if self.faults != NO_FAULTS else played(attempts, spent)
 
 
 NOTHING_KNOWN: Final = KnownRobots()

@@ -13,7 +13,7 @@ from typing import Final
 
 from planner_bridge.model.grounding import initial_knowledge
 from planner_bridge.model.plan import Plan, PlanningResult, PlanningStatus, Policy
-from planner_bridge.model.problem import Problem
+from planner_bridge.model.problem import Domain, Problem
 from planner_bridge.model.rates import NO_RATES, Rates
 from planner_bridge.model.world import simulated_backend
 from planner_bridge.ordering.plan_to_graph import plan_graph
@@ -22,10 +22,11 @@ from planner_bridge.pipeline.goal_handle import GoalHandle
 from planner_bridge.pipeline.odds import GoalOdds, KnownRobots, Odds, exact, odds_of_calls
 from planner_bridge.tasks.result import Stopwatch, TaskResult
 from planner_bridge.tasks.settings import Memory, ProvedMachine, Settings, TaskObserver
-from pnm.actions.faults import Faults
+from pnm.actions.faults import NO_FAULTS, Faults
 from pnm.clock import run_async
 from pnm.core.knowledge_base import KnowledgeBase
-from pnm.core.logic.expressions import Fluent, is_number
+from pnm.core.logic.effects import Set
+from pnm.core.logic.expressions import Constant, Fluent, is_number
 from pnm.core.machine.plan_graph import PlanGraph
 from pnm.language.plan import chosen_plan, read_plans
 from pnm.tasks import Code
@@ -63,8 +64,11 @@ def odds_of_goal(
     alone = None if calls is None else exact(graph, calls, initial_knowledge(problem))
     if not seconds or (alone and (alone.chance == 1.0 or not settings.limits.replans)):
         return GoalOdds(alone, None, calls or ())
-    first = PlanningResult(PlanningStatus.SOLVED, plan, policy=policy)
-    world, memory = known.world(attempts), RememberedPlans(problem, first, time.process_time() + seconds)
+    first, spent = (
+        PlanningResult(PlanningStatus.SOLVED, plan, policy=policy),
+        used_up(problem.domain) if faults == NO_FAULTS else frozenset(),
+    )
+    world, memory = known.world(attempts, spent), RememberedPlans(problem, first, time.process_time() + seconds)
     chosen = replace(settings, improve=0.0, memory=memory, ask_for_help=False)
 
     def run(number: int) -> tuple[TaskResult, KnowledgeBase] | None:
@@ -72,8 +76,15 @@ def odds_of_goal(
         result = run_async(GoalHandle(backend, problem, chosen, TaskObserver(), Stopwatch()).run(), virtual=True)
         return None if memory.is_late else (result, backend.robots.world.truth)
 
-    sure = alone.chance if alone else None
+    sure = alone.chance if alone and not spent else None  # attempts that fail may use up too much
     return GoalOdds(alone, _rolled(run, initial_knowledge(problem), seconds, most, sure), calls or ())
+
+
+def used_up(domain: Domain) -> frozenset[str]:
+    """Return the functions that some action decreases, and another sets to a constant again, such as what is left in a battery."""
+    effects = [effect for schema in domain.actions.values() for effect in schema.end_effects if isinstance(effect, Set)]
+    decreased = {effect.fluent[0] for effect in effects if effect.operation == "decrease"}
+    return frozenset(decreased & {one.fluent[0] for one in effects if one.operation == "assign" and isinstance(one.value, Constant)})
 
 
 def odds_of_plan(

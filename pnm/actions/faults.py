@@ -12,6 +12,7 @@ from typing import Literal
 
 from pnm.core.knowledge_base import parse_statement
 from pnm.core.logic.domain import Vocabulary
+from pnm.core.logic.effects import Effects
 from pnm.core.logic.expressions import Fluent, Value
 from pnm.core.machine.plan_graph import GroundAction
 from pnm.errors import InputError, Position
@@ -54,6 +55,10 @@ class Fault:
     """Whether an abort is for a reason that another attempt would meet again."""
     outcome: str = ""
     """The name of the declared outcome."""
+    succeeded: Effects | None = None
+    """The effects of a request that succeeds, in place of those of the action at its end."""
+    failed: Effects = ()
+    """The effects of a request that does not."""
 
     def concerns(self, action: GroundAction) -> bool:
         """Return whether the fault applies to this ground action."""

@@ -275,6 +275,8 @@ class SimulatedRobots:
         if ways := [way for way in action.outcomes if forced in ("", way.name)]:
             (way,) = self._chance.choices(ways, [1.0 if way.chance is None else way.chance for way in ways])
             action = replace(action, end_effects=way.effects, outcome=way.name)
+        if fault and fault.succeeded is not None:
+            action = replace(action, end_effects=fault.succeeded)
         begun = self.world.begin(action) if ways or not forced else f"{action} has no outcome {forced!r}"
         report(Accepted(request.id))
         if isinstance(begun, str):
@@ -339,6 +341,7 @@ class SimulatedRobots:
         if job.request.id in self._jobs:
             self._forget(job)
             job.activity.undo()
+            self.world.change(changes(job.fault.failed if job.fault else (), self.world.truth))
             self._end(job, Outcome(kind, message=(job.fault.message if job.fault and kind is OutcomeKind.ABORTED else "") or message))
 
     def _end(self, job: _Job, outcome: Outcome) -> None:
