@@ -22,6 +22,8 @@ from pnm.core.logic.expressions import ValueOf
 from pnm.core.machine.bindings import NO_BINDINGS, Bindings, placeholders
 from pnm.core.machine.plan_graph import GroundAction, PlanGraph, PlanGraphError
 
+UNMADE: Final = 0.9
+"""The quantile of the seconds of an action that a call of it takes which was never made."""
 MOST_PRICES: Final = 500
 """Calls of an action that have a price of their own for planners, or beginnings of calls."""
 
@@ -41,6 +43,9 @@ class ExpectedTimes:
     def expected(self, action: GroundAction) -> float:
         """Return the seconds until a call has succeeded, attempts that fail included.
 
+        Of a call that was never made while others of its action were, these are what most of them take: else plans would be made of the
+        calls whose time is guessed too short.
+
         Those of an attempt are learned, else as the domain says, else as the binding says, else `ASSUMED_SECONDS`. All attempts succeed
         as long as nothing else was learned.
         """
@@ -51,6 +56,9 @@ class ExpectedTimes:
             names_server = set(placeholders(binding.server or "")) <= set(action.parameters)
             call = Call.of(action, self.bindings) if action.arguments and names_server else Call("", action.name)
             chance, lasts = self.learned.chance(call), self.learned.mean(call, declared)
+            own = self.learned.groups.get(call.group[: 2 + self.told_apart.get(call.action, 0)])
+            if call.arguments and call.action in self.told_apart and not (own and own.took.n):
+                lasts = max(lasts, self.learned.seconds(Call("", call.action), declared).quantile(UNMADE))
             if chance.rests.basis is Basis.LEARNED:
                 lasts += (1.0 / chance.success - 1.0) * self.learned.mean(call, declared, succeeded=False)
             self._found[key] = lasts

@@ -124,22 +124,26 @@ def test_each_call_takes_as_long_as_it_took() -> None:
     ]
     rates = ExpectedTimes(learned=NO_RATES.grown("journal", 1, counted))
     assert robot_time(problem, plan_of("move r1 a b", "move r1 b c"), rates) == pytest.approx(11.0, rel=0.001)
+    never = problem.domain.actions["move"]
+    assert rates.of(never, ("r1", "a", "d")) == pytest.approx(8.0, rel=0.02), "what was never done takes as long as most of it"
+    assert rates.of(never, ()) == pytest.approx(5.5, rel=0.02)
 
 
 def test_ways_between_places_are_told_apart() -> None:
-    """A robot sweeps the rooms of one house before those of another, because the way between houses took long."""
-    places, first = "abcdefg", "aceg"
-    ways = [f"{here}{there}" for here in places for there in places if here != there]
-    problem = rooms(goal=f"(and {' '.join(f'(clean {place})' for place in places)})", init="(at r1 a)", ways=" ".join(ways))
+    problem = rooms(goal="(at r1 c)", init="(at r1 a)", ways="ab bc ac")
     counted = [
-        (Call("move", "move", ("r1", *way)), Counts.of(End.SUCCEEDED, 1.0 if (way[0] in first) is (way[1] in first) else 9.0))
-        for way in ways
+        (Call("move", "move", ("r1", here, there)), Counts.of(End.SUCCEEDED, seconds))
+        for here, there, seconds in (("a", "b", 2.0), ("b", "c", 3.0), ("a", "c", 9.0))
         for _ in range(30)
     ]
-    plan = solve(problem, learned=NO_RATES.grown("journal", 1, counted), improve=4.0).plan
+    rates = ExpectedTimes(learned=NO_RATES.grown("journal", 1, counted))
+    plan = solve(priced(problem, rates, by_call=True)).plan
     assert plan is not None
-    moves = [step.arguments[1:] for step in plan.steps if step.action == "move"]
-    assert sum((here in first) is not (there in first) for here, there in moves) <= 2, "of six, if all ways are alike"
+    assert [step.arguments for step in plan.steps] == [("r1", "a", "b"), ("r1", "b", "c")]
+    assert plan.cost == pytest.approx(5.3, abs=0.2)
+    whole = solve(priced(problem, rates)).plan
+    assert whole is not None
+    assert len(whole.steps) == 1, "all moves cost as much there"
 
 
 def test_seconds_are_not_negative() -> None:
