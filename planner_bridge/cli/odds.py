@@ -50,7 +50,7 @@ def odds(
 
     The chance is exact as long as nothing is planned anew. What new plans add is found by roll-outs: runs of the machine on simulated
     robots. Chances of single attempts are those that --faults declares for simulated robots, or else the learned ones of --rates; what
-    is not known is assumed.
+    is not known is assumed. What follows the outcomes of actions that have several is as their policy says.
     """
     chosen = options.chosen_files(domain, problem, plan_file)
     settings = Settings(planner, planner_timeout, limits=replace(DEFAULTS.limits, replans=replans))

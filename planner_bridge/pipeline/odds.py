@@ -38,7 +38,7 @@ DRAWS: Final = 1000
 """Draws of the time of a plan."""
 WEAKEST: Final = 3
 """Calls that are named as the weakest, at most."""
-_INTERVAL_DRAWS: Final = 400
+INTERVAL_DRAWS: Final = 400
 """Draws of chances that were estimated."""
 _DRAWS_OF_CALLS: Final = 20_000
 """Draws of all calls together of what is left of a plan while it is carried out, and `_LEAST_DRAWS` of each."""
@@ -101,6 +101,8 @@ class AttemptOdds:
 
 
 _CERTAIN: Final = AttemptOdds((AttemptEnd(Leads.DONE, 1.0, ((0.0, 1.0),)),), "nothing: no server is needed")
+CallKind: TypeAlias = tuple[tuple[str, float, tuple[tuple[Leads, float], ...]], int]
+"""What calls with the same chance of success have in common."""
 Attempts: TypeAlias = Callable[[GroundAction], AttemptOdds | None]
 """What is known of the attempts of an action; None if they are not alike, or not independent of others."""
 
@@ -123,6 +125,11 @@ class CallOdds:
     began: float | None = None
     ended: float | None = None
     at_work: float = 0.0
+
+    @property
+    def kind(self) -> CallKind:
+        """What its chance rests on, and its retries."""
+        return self.attempt.estimate, self.retries
 
     def chance(self, more: int = 0) -> float:
         """Return the chance of its success, with so many retries more than it has."""
@@ -168,6 +175,7 @@ class Odds:
         times: seconds of runs that reach it, sorted.
         numbers: the values that numeric fluents have at the end of such runs, sorted; only of those that change.
         runs: of the machine from which all this was estimated; 0 if it was computed.
+        actions: that runs which reach it carry out on average; 0 if they are those of a plan.
     """
 
     chance: float
@@ -175,6 +183,7 @@ class Odds:
     times: tuple[float, ...] = ()
     numbers: Mapping[Fluent, tuple[float, ...]] = field(default_factory=dict)
     runs: int = 0
+    actions: float = 0.0
 
     def time(self, share: float) -> float:
         """Return the seconds within which this share of the runs that reach the goal is over."""
@@ -189,7 +198,9 @@ class Odds:
         """Return them as `pnm odds --json` prints them."""
         times = {"median": self.time(0.5), "ninety_percent": self.time(0.9)} if self.times else None
         numbers = {fluent_text(fluent): dict(zip(("median", "low", "high"), ends, strict=True)) for fluent, ends in self.ends.items()}
-        return {"chance": self.chance, "interval": [*self.interval], "runs": self.runs, "seconds": times, "numbers": numbers}
+        return {"chance": self.chance, "interval": [*self.interval], "runs": self.runs, "seconds": times, "numbers": numbers} | (
+            {"actions": self.actions} if self.actions else {}
+        )
 
     @staticmethod
     def estimated(
@@ -218,8 +229,6 @@ def odds_of_calls(graph: PlanGraph, bindings: Bindings, attempts: Attempts) -> t
             return None
         if any(recovery.causes - {Cause.CANCELED} for recovery in step.recoveries):  # nobody cancels here
             return None
-        if step.action.outcomes:  # what follows depends on which one it is
-            return None
         attempt = attempts(step.action) if step.action.operation is None else _CERTAIN
         if attempt is None:
             return None
@@ -232,8 +241,11 @@ def odds_of_calls(graph: PlanGraph, bindings: Bindings, attempts: Attempts) -> t
 def exact(graph: PlanGraph, calls: tuple[CallOdds, ...], knowledge: KnowledgeBase) -> Odds | None:
     """Return the odds of a plan whose calls are independent; see the beginning of this module.
 
-    None if the plan does not lead from this knowledge to its goal in the order of its calls alone, as where facts change by themselves.
+    None if the plan does not lead from this knowledge to its goal in the order of its calls alone, as where facts change by themselves,
+    or where actions may turn out in several ways.
     """
+    if any(call.call.action.outcomes for call in calls):
+        return None
     walk = Progression(snapshot(knowledge))
     try:
         for event in graph.order:
@@ -249,12 +261,15 @@ def exact(graph: PlanGraph, calls: tuple[CallOdds, ...], knowledge: KnowledgeBas
     return Odds(chance, interval(calls) or (chance, chance), lasts, numbers if chance else {})
 
 
-def interval(calls: tuple[CallOdds, ...]) -> tuple[float, float] | None:
+def interval(
+    calls: Iterable[CallOdds], chance: Callable[[Mapping[CallKind, float]], float] | None = None, count: int = INTERVAL_DRAWS
+) -> tuple[float, float] | None:
     """Return what the chance lies between with 95 % if chances of attempts are estimates; None if none is.
 
-    They are drawn from their Dirichlet distributions, once for all calls that rest on the same attempts.
+    They are drawn from their Dirichlet distributions, once for all calls that rest on the same attempts. The chance of the goal is the
+    product of those of the calls, unless a function is given.
     """
-    alike, random = Counter((call.attempt.estimate, call.retries) for call in calls), Random(0)
+    alike, random = Counter(call.kind for call in calls), Random(0)
     if not any(total for (_, total, _), _ in alike):
         return None
 
@@ -263,13 +278,13 @@ def interval(calls: tuple[CallOdds, ...]) -> tuple[float, float] | None:
         for estimate, _ in alike:
             if estimate not in ways:
                 _, total, endings = estimate
-                shares = [(leads, random.gammavariate(total * chance, 1.0) if total and chance else chance) for leads, chance in endings]
+                shares = [(leads, random.gammavariate(total * share, 1.0) if total and share else share) for leads, share in endings]
                 every = sum(share for _, share in shares)
                 ways[estimate] = {kind: sum(share for leads, share in shares if leads is kind) / every for kind in Leads}
-        both = ((ways[estimate], retries, count) for (estimate, retries), count in alike.items())
-        return prod(_success(way[Leads.DONE], way[Leads.AGAIN], retries) ** count for way, retries, count in both)
+        success = {kind: _success(ways[kind[0]][Leads.DONE], ways[kind[0]][Leads.AGAIN], kind[1]) for kind in alike}
+        return chance(success) if chance else prod(success[kind] ** number for kind, number in alike.items())
 
-    chances = tuple(sorted(drawn() for _ in range(_INTERVAL_DRAWS)))
+    chances = tuple(sorted(drawn() for _ in range(count)))
     return _quantile(chances, 0.025), _quantile(chances, 0.975)
 
 
@@ -349,7 +364,9 @@ class RestOfPlan:
         """
         is_timed = any(call.action.duration is not None for call in self.graph.calls)
         found = odds_of_calls(self.graph, self.bindings, known.attempts(self.bindings, is_timed=is_timed))
-        if found is None or not {result.kind for result in self.results.values()} <= _AS_PLANNED:
+        if found is None or any(call.call.action.outcomes for call in found):  # what follows depends on which one it is
+            return None
+        if not {result.kind for result in self.results.values()} <= _AS_PLANNED:
             return None
 
         def left_of(odds: CallOdds) -> CallOdds:
@@ -393,13 +410,13 @@ def declared(faults: Faults, bindings: Bindings, untimed: float) -> Attempts:
                     seconds = lasts / 2
                 case FaultKind.REJECT:
                     seconds = 0.0
-                case FaultKind.NO_EFFECT:
+                case FaultKind.NO_EFFECT if not action.outcomes:
                     leads, seconds = (Leads.AGAIN, lasts + LAG) if is_seen else (Leads.DONE, lasts)
                 case FaultKind.HANG:
                     seconds = limit
                 case FaultKind.SLOW:
                     leads, seconds = (Leads.DONE, lasts * SLOWNESS) if lasts * SLOWNESS <= limit else (Leads.AGAIN, limit)
-                case FaultKind.LOSE_SERVER:
+                case FaultKind.LOSE_SERVER | FaultKind.NO_EFFECT:  # what changes nothing may look like an outcome
                     return None
             endings.append(AttemptEnd(leads, left * fault.chance, ((seconds, 1.0),)))
             left *= 1.0 - fault.chance
@@ -507,7 +524,8 @@ class GoalOdds:
     def more_retries(self) -> dict[str, tuple[int, list[float]]]:
         """The actions of the weakest calls with their retries, and the chance if nothing is planned anew with one or two more."""
         gains: dict[str, tuple[int, list[float]]] = {}
-        for action in dict.fromkeys(call.call.action.name for call in self.weakest[:WEAKEST]) if self.alone and self.alone.chance else ():
+        is_product = self.alone and self.alone.chance and not self.alone.actions
+        for action in dict.fromkeys(call.call.action.name for call in self.weakest[:WEAKEST]) if is_product else ():
             retries = max(call.retries for call in self.calls if call.call.action.name == action)
             more = [prod(call.chance(extra * (call.call.action.name == action)) for call in self.calls) for extra in (1, 2)]
             gains[action] = retries, more
@@ -519,6 +537,9 @@ class GoalOdds:
         found: dict[str, dict[str, None]] = {}
         for call in self.calls:
             found.setdefault(call.attempt.rests, {})[call.call.action.name] = None
+            if ways := call.call.action.outcomes:
+                rests = "outcomes taken as equally likely" if ways[0].chance is None else "declared outcomes"
+                found.setdefault(rests, {})[call.call.action.name] = None
         return {rests: [*actions] for rests, actions in found.items()}
 
     @property
@@ -559,6 +580,8 @@ class GoalOdds:
             return
         if best.times:
             yield f"time     {best.time(0.5):.1f} s in half of the runs that reach the goal, {best.time(0.9):.1f} s at most in 90 % of them"
+        if self.alone and self.alone.actions:
+            yield f"actions  {self.alone.actions:.1f} on average in runs that reach the goal, if nothing is planned anew"
         for fluent, (middle, low, high) in best.ends.items():
             between = f", {low:g} to {high:g} in 90 % of the runs" if low < high else ""
             yield f"number   {fluent_text(fluent)} is {middle:g} at the end{between}"

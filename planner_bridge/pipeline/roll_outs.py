@@ -20,6 +20,7 @@ from planner_bridge.ordering.plan_to_graph import plan_graph
 from planner_bridge.pipeline.carry_out import carry_out
 from planner_bridge.pipeline.goal_handle import GoalHandle
 from planner_bridge.pipeline.odds import GoalOdds, KnownRobots, Odds, exact, odds_of_calls
+from planner_bridge.pipeline.policy_odds import PolicyChain
 from planner_bridge.tasks.result import Stopwatch, TaskResult
 from planner_bridge.tasks.settings import Memory, ProvedMachine, Settings, TaskObserver
 from pnm.actions.faults import NO_FAULTS, Faults
@@ -62,6 +63,8 @@ def odds_of_goal(
     attempts = known.attempts(bindings, is_timed=problem.is_timed)
     calls = odds_of_calls(graph, bindings, attempts)
     alone = None if calls is None else exact(graph, calls, initial_knowledge(problem))
+    if policy and plan.steps and (chain := PolicyChain.of(problem, policy, bindings, attempts)):
+        alone, calls = chain.odds(), chain.calls
     if not seconds or (alone and (alone.chance == 1.0 or not settings.limits.replans)):
         return GoalOdds(alone, None, calls or ())
     first, spent = (

@@ -1,0 +1,97 @@
+"""Odds of policies: exact values, an independent solution of their chains, and runs of the machine."""
+
+from __future__ import annotations
+
+from math import sqrt
+
+import pytest
+from hypothesis import given, settings, strategies as st
+
+from planner_bridge.model.problem import Problem
+from planner_bridge.pddl import parse_domain, parse_problem
+from planner_bridge.pipeline.odds import KnownRobots, Odds
+from planner_bridge.pipeline.policy_odds import PolicyChain
+from planner_bridge.pipeline.roll_outs import odds_of_goal
+from planner_bridge.planning.policies.policy import Entry, Policy, find_policy
+from planner_bridge.planning.solve import solve
+from planner_bridge.tasks.replanning import Limits
+from planner_bridge.tasks.settings import Settings
+from pnm.actions.faults import Fault, FaultKind, Faults
+from pnm.core.machine.bindings import Binding, Bindings
+from tests.support.pddl.chance import Exact, texts
+
+ABORTS = Fault("knock", FaultKind.ABORT, chance=0.2)
+ONCE = Bindings({"knock": Binding(retries=0)})
+
+
+def door(effect: str) -> Problem:
+    domain = f"""(define (domain door) (:requirements :adl :non-deterministic :probabilistic-effects) (:predicates (open) (stuck) (round))
+      (:action turn :parameters () :precondition (stuck) :effect (oneof (round) (not (round))))
+      (:action knock :parameters () :precondition (not (stuck)) :effect {effect}))"""
+    return parse_problem("(define (problem p) (:domain door) (:init) (:goal (open)))", parse_domain(domain))
+
+
+def exact(problem: Problem, policy: Policy | None, *faults: Fault, bindings: Bindings = ONCE) -> Odds | None:
+    assert policy is not None
+    chain = PolicyChain.of(problem, policy, bindings, KnownRobots(faults=Faults(faults)).attempts(bindings, is_timed=False))
+    return chain.odds() if chain else None
+
+
+def test_what_is_tried_until_it_succeeds_has_the_odds_of_a_geometric_series() -> None:
+    problem = door("(probabilistic 0.25 (open))")
+    result = solve(problem)
+    assert result.plan is not None
+    odds = odds_of_goal(problem, result.plan, Settings(bindings=ONCE), Faults((ABORTS,)), policy=result.policy, seconds=0.0)
+    assert odds.alone is not None
+    assert odds.alone.chance == pytest.approx(0.8 * 0.25 / (1.0 - 0.8 * 0.75))
+    assert odds.alone.actions == pytest.approx(1.0 / (1.0 - 0.8 * 0.75))
+    assert sum(odds.alone.times) / len(odds.alone.times) == pytest.approx(2.5, abs=0.3), "an action takes a second"
+    assert odds.rests == {"declared": ["knock"], "declared outcomes": ["knock"]}
+    patient = exact(problem, result.policy, Fault("knock", FaultKind.ABORT, chance=0.0))
+    assert patient is not None
+    assert (patient.chance, patient.interval) == (1.0, (1.0, 1.0))
+
+
+def test_a_trap_takes_its_chance_and_even_ones_are_said_to_be() -> None:
+    problem = door("(oneof (open) (and) (stuck))")
+    knock, turn = Entry({("stuck",): False}, "knock", (), 1, 2.0), Entry({("stuck",): True}, "turn", (), 1, 2.0)
+    for entries in ((knock,), (knock, turn)):  # a state without an entry, and states that nothing leads out of
+        odds = exact(problem, Policy(problem, entries), Fault("knock", FaultKind.ABORT, chance=0.0))
+        assert odds is not None
+        assert odds.chance == pytest.approx(0.5)
+        assert odds.actions == pytest.approx(1.5)
+
+
+def test_exact_odds_are_those_of_runs_of_the_machine() -> None:
+    problem = door("(probabilistic 0.25 (open))")
+    result, never = solve(problem), Fault("knock", FaultKind.ABORT, times=0)
+    assert result.plan is not None
+    chosen = Settings(improve=0.0, bindings=ONCE, limits=Limits(replans=0))
+    rolled = odds_of_goal(
+        problem, result.plan, chosen, Faults((ABORTS, never)), policy=result.policy, seconds=600.0, most=150
+    ).rolled  # what never happens makes nothing exact
+    odds = exact(problem, result.policy, ABORTS)
+    assert rolled is not None
+    assert odds is not None
+    assert abs(rolled.chance - odds.chance) < 4.0 * sqrt(0.25 / 150)
+    means = [sum(each.times) / len(each.times) for each in (rolled, odds)]
+    assert means[0] == pytest.approx(means[1], abs=0.7)
+
+
+def test_outcomes_that_nothing_tells_apart_have_no_exact_odds() -> None:
+    problem = door("(oneof (open) (and))")
+    assert exact(problem, find_policy(problem, 60.0), bindings=Bindings(assumed=frozenset({"open"}))) is None
+
+
+@settings(max_examples=50, deadline=None)
+@given(st.integers(0, 10**9))
+def test_chances_and_actions_are_those_of_an_independent_solution(seed: int) -> None:
+    domain, of_problem = texts(seed)
+    problem = parse_problem(of_problem, parse_domain(domain))
+    policy = find_policy(problem, 60.0)
+    if policy is not None:
+        odds = exact(problem, policy, Fault("none", FaultKind.ABORT))
+        assert odds is not None
+        chance, actions, _ = Exact(problem).played(policy)
+        assert odds.chance == pytest.approx(chance)
+        assert odds.actions == pytest.approx(actions, rel=1e-6)
