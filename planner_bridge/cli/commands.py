@@ -115,7 +115,12 @@ def plan(
         options.check_output(output, force=force)
     files = domain, problem
     loaded, result, bound, learned = options.planned(files, bindings, rates, planner, planner_timeout, improve, is_looked_at=True)
-    odds = None
+    odds = policy = None
+    if result.policy is not None:
+        from planner_bridge.planning.policies.course import course_dot
+        from planner_bridge.planning.policies.policy import Thinking
+
+        policy = result.policy.policy if isinstance(result.policy, Thinking) else None
     if result.plan is not None and learned is not None and learned.calls:
         from planner_bridge.pipeline.roll_outs import odds_of_goal
         from planner_bridge.tasks.settings import Settings
@@ -135,6 +140,7 @@ def plan(
         found = {"cost": plan.cost, "expected_seconds": plan.seconds, "is_best": plan.is_best, "above_best": plan.above} if plan else {}
         fields: dict[str, object] = {"status": result.status.value, "message": result.message, "planner": result.planner, **found}
         fields |= {"odds": odds.as_json()} if odds else {}
+        fields |= {"policy": policy.as_json()} if policy else {}
         options.print_json({**fields, "steps": steps if result.plan else None})
     elif result.plan is None:
         from planner_bridge.cli.console import SafeConsole  # here and below: a plan alone needs neither rich nor pictures
@@ -145,16 +151,19 @@ def plan(
         from pnm.core.pictures.plan_picture import plan_dot, plan_svg
 
         graph = plan_graph(loaded, result.plan)
-        options.write(output, plan_svg(graph) if written_as == "svg" else plan_dot(graph), force=force)
+        picture = plan_svg(graph) if written_as == "svg" else course_dot(policy.course()) if policy else plan_dot(graph)
+        options.write(output, picture, force=force)
     else:
         lines = [f"plan     {result.plan}"]
         if result.planner != planner:
             lines.append(f"planner  {result.planner}")
         if odds and odds.best:
             lines.append(f"odds     {odds}")
+        if policy:
+            lines.append(f"policy   {policy}")
         if result.message:
             lines.append(f"note     {result.message}")
-        if improve is None and planner == DEFAULT_PLANNER and result.plan.steps and not result.plan.is_best:
+        if improve is None and planner == DEFAULT_PLANNER and result.plan.steps and not (result.plan.is_best or policy):
             lines.append("note     --improve SECONDS may find a better one")
         options.write(output, "\n".join((*lines, "")), force=force)
     return 0 if result.plan else 2 if result.status is PlanningStatus.INVALID else 1

@@ -9,7 +9,6 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Collection, Sequence
-from contextlib import suppress
 from dataclasses import replace
 from math import inf
 from typing import TYPE_CHECKING, Final
@@ -86,16 +85,19 @@ def solve(
             return PlanningResult(PlanningStatus.UNSUPPORTED, message=message, planner=planner)
         from planner_bridge.model.determinization import determinization  # here and below, because most actions have one outcome
 
+        note = ""
         if planner == DEFAULT_PLANNER:
-            from planner_bridge.planning.policies.policy import find_policy
+            from planner_bridge.planning.policies.policy import Thinking
             from planner_bridge.planning.policies.task import Unsuitable
 
             began = time.monotonic()
-            with suppress(Unsuitable):
-                policy = find_policy(problem, timeout / 2.0, cancel)
-                if policy is not None:
-                    plan = policy.plan(initial_knowledge(problem))
-                    return PlanningResult(PlanningStatus.SOLVED, plan, planner=planner, policy=policy)
+            try:
+                thinking = Thinking(problem, timeout, cancel)
+                policy = thinking.wait(timeout, improve)
+                if policy is not None and (plan := policy.plan(initial_knowledge(problem))) is not None:
+                    return PlanningResult(PlanningStatus.SOLVED, plan, planner=planner, policy=thinking)
+            except Unsuitable as unsuitable:
+                note = str(unsuitable)
             timeout = max(0.0, timeout - (time.monotonic() - began))
         each = determinization(problem)
         found = solve(
@@ -108,7 +110,7 @@ def solve(
             bindings=bindings and each.bindings(bindings),
             learned=learned and each.rates(learned),
         )
-        return explained(problem, found) if found.plan is None else replace(found, plan=each.plan(found.plan))
+        return explained(problem, found) if found.plan is None else replace(found, plan=each.plan(found.plan), message=note)
     asked, rates = problem, None
     if bindings or learned:
         from planner_bridge.model.exclusive_resources import with_turns  # here, because most problems are about no robot that is known

@@ -165,6 +165,11 @@ class DeadEnds:
             if not (add & false or delete & true or (condition.false | excluded) & true & ~add or condition.true & false & ~delete):
                 self.forbid(action, condition.joined(Part(true & ~add, false & ~delete)))
 
+    def allow(self, action: Action, part: Part) -> None:
+        """Take back that the action is forbidden in states of the part."""
+        if part in self.forbidden[action]:
+            self.forbidden[action].remove(part)
+
     def forbid(self, action: Action, part: Part) -> None:
         """Forbid the action in states of the part, unless it is forbidden there already."""
         known = self.forbidden[action]

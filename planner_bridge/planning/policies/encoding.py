@@ -73,7 +73,10 @@ class Determinization:
         facts = " ".join(map(fluent_text, self._task.named(state)))
         parsed = kairos.parse_problem(f"{self._before} {facts} {self._guarding}{self._after}", domain)
         self.calls += 1
+        status = None
         for way, seconds in WAYS:
+            if status is kairos.Status.UNSOLVABLE and way != WAYS[-1][0]:
+                continue
             limit = min(seconds, until - time.monotonic())
             if limit <= 0.0:
                 raise OutOfTime
@@ -82,11 +85,11 @@ class Determinization:
             if found is None:
                 status = search.wait().status
                 found = search.best()
-                if found is None and way == WAYS[-1][0] and status is kairos.Status.UNSOLVABLE:
-                    return None
             search.stop()
             if found is not None:
                 return [self._step(step) for step in found.steps]
+        if status is kairos.Status.UNSOLVABLE:
+            return None
         raise OutOfTime
 
     def _step(self, step: kairos.PlanStep) -> Step:

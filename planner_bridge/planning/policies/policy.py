@@ -2,23 +2,34 @@
 
 from __future__ import annotations
 
+import threading
 import time
-from collections.abc import Mapping
-from dataclasses import dataclass
-from functools import cached_property
+import weakref
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import suppress
+from dataclasses import dataclass, field
+from functools import cached_property, partial
 from math import inf
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 from planner_bridge.model.grounding import ground_step, initial_knowledge, modelled_duration
 from planner_bridge.model.plan import GAP, CancelToken, Plan, PlanStep
 from planner_bridge.model.problem import Problem
+from planner_bridge.planning.policies.chance import improve, take_chances
+from planner_bridge.planning.policies.course import MOST, Step, course
 from planner_bridge.planning.policies.encoding import Determinization
 from planner_bridge.planning.policies.proof import unproved
 from planner_bridge.planning.policies.search import Interrupted, Search
 from planner_bridge.planning.policies.task import Task, policy_task
+from pnm.core.knowledge_base import statement_text
 from pnm.core.logic.conditions import evaluate
 from pnm.core.logic.effects import changes
 from pnm.core.logic.expressions import Fluent, State, Unknown, Value
+
+_CHANCE: Final = 0.5
+"""Seconds for a better chance before the first action."""
+_CERTAIN: Final = 0.5
+"""Part of the time in which a policy is looked for that reaches the goal for certain."""
 
 
 class Entry(NamedTuple):
@@ -27,10 +38,12 @@ class Entry(NamedTuple):
     facts: Mapping[Fluent, bool]
     action: str
     arguments: tuple[str, ...]
-    distance: int
+    distance: float
     """Actions until the goal, with luck."""
     expected: float
     """Actions until the goal, on average."""
+    chance: float
+    """Of the goal."""
 
     def __str__(self) -> str:
         return f"{self.action}({', '.join(self.arguments)})"
@@ -47,10 +60,38 @@ class Policy:
     """Of the goal, from the initial state."""
     is_proved: bool = False
     """Whether a check of the policy alone has shown that it reaches the goal if every outcome comes up sooner or later."""
+    course: Callable[[], list[Step]] = field(default=list, repr=False)
+    """Returns which entries follow which."""
 
     def __repr__(self) -> str:
-        claim = "reaches the goal for certain" if self.is_proved else f"reaches the goal with a chance of {self.chance:.0%}"
-        return f"<Policy for {self.problem.name}: {len(self.entries)} entries, {claim}>"
+        return f"<Policy for {self.problem.name}: {len(self.entries)} entries, {self.claim}>"
+
+    def __str__(self) -> str:
+        steps = self.course()
+        more = [f"  {len(steps) - MOST:8d} more"] if len(steps) > MOST else []
+        expected = f", {steps[0].expected:.1f} calls expected" if steps else ""
+        return "\n".join((f"{self.claim}{expected}", *(line for step in steps[:MOST] for line in step.lines()), *more))
+
+    @property
+    def claim(self) -> str:
+        """What can be said of the goal, in words."""
+        if self.is_proved:
+            return "reaches the goal whatever the outcomes, if each comes up sooner or later (proved)"
+        return f"reaches the goal with a chance of {self.chance:.1%}"
+
+    def as_json(self) -> dict[str, object]:
+        """Return the claim and the entries as JSON has them."""
+        entries = [
+            {
+                "facts": [statement_text(fluent, value) for fluent, value in entry.facts.items()],
+                "action": entry.action,
+                "arguments": [*entry.arguments],
+                "expected": round(entry.expected, 3),
+                "chance": round(entry.chance, 6),
+            }
+            for entry in self.entries
+        ]
+        return {"is_proved": self.is_proved, "chance": round(self.chance, 6), "entries": entries}
 
     def entry(self, state: State) -> Entry | None:
         """Return the entry for the state; None if there is none."""
@@ -129,34 +170,128 @@ class _After:
         return self.before.objects(types)
 
 
-def find_policy(problem: Problem, timeout: float, cancel: CancelToken | None = None) -> Policy | None:
-    """Search for a policy that reaches the goal for certain; None if there is none, or none was found in time.
+class Thinking:
+    """A policy that becomes better while robots work. The mutable state is those found so far, the best one first: a thread adds to them.
 
     Raises `Unsuitable` if the problem has more than facts that only actions change.
     """
-    task = policy_task(problem)
-    search = Search(task, Determinization(problem, task), time.monotonic() + timeout, cancel)
-    try:
-        found = search.run(task.initial)
-    except Interrupted:
-        found = False
-    if not found:
-        return None
-    entries = _reached(task, search)
-    policy = Policy(problem, entries)
-    return Policy(problem, entries, is_proved=not unproved(problem, policy.entries, initial_knowledge(problem)))
+
+    def __init__(self, problem: Problem, timeout: float, cancel: CancelToken | None = None) -> None:
+        self.policies: tuple[Policy, ...] = ()
+        self._found, self._over = threading.Event(), threading.Event()
+        stop = _Either(cancel)
+        thread = threading.Thread(target=_think, args=(weakref.ref(self), policies(problem, timeout, stop), self._found, self._over))
+        thread.daemon = True
+        thread.start()
+        weakref.finalize(self, _end, stop, thread)
+
+    def wait(self, timeout: float, improve: float | None) -> Policy | None:
+        """Return a policy, once there is one; None if there is none in time.
+
+        Args:
+            timeout: seconds at most.
+            improve: seconds to wait for a better one; by default, some for one that is not sure to reach the goal.
+        """
+        self._found.wait(timeout)
+        if self.policy is not None and (improve is not None or not self.policy.is_proved):
+            self._over.wait(_CHANCE if improve is None else improve)
+        return self.policy
+
+    @property
+    def policy(self) -> Policy | None:
+        """The best policy so far."""
+        return self.policies[0] if self.policies else None
+
+    @property
+    def entries(self) -> tuple[Entry, ...]:
+        """Those of the best policy so far."""
+        return self.policy.entries if self.policy else ()
+
+    @property
+    def chance(self) -> float:
+        """That of the best policy so far."""
+        return self.policy.chance if self.policy else 0.0
+
+    @property
+    def is_proved(self) -> bool:
+        """Whether the best policy so far is proved to reach the goal."""
+        return self.policy is not None and self.policy.is_proved
+
+    def stretch(self, state: State) -> Plan | None:
+        """Return what to do from a state up to the next action with several outcomes; see `Policy.stretch`."""
+        found = (policy.stretch(state) for policy in self.policies)  # an earlier one may have led to where the best one never gets
+        return next((plan for plan in found if plan is not None), None)
 
 
-def _reached(task: Task, search: Search) -> tuple[Entry, ...]:
-    """Return the entries that are needed from the initial state on, and all that these may lead to."""
-    return tuple(
+class _Either:
+    """Set when either this or the token from elsewhere is."""
+
+    def __init__(self, other: CancelToken | None) -> None:
+        self._own, self._other = threading.Event(), other
+        self.set = self._own.set
+
+    def is_set(self) -> bool:
+        return self._own.is_set() or (self._other is not None and self._other.is_set())
+
+
+def _think(owner: weakref.ref[Thinking], better: Iterator[Policy], found: threading.Event, over: threading.Event) -> None:
+    for policy in better:
+        thinking = owner()
+        if thinking is None:
+            break
+        thinking.policies = policy, *thinking.policies
+        del thinking
+        found.set()
+    over.set()
+    found.set()
+
+
+def _end(stop: _Either, thread: threading.Thread) -> None:
+    """Let a thread come to its end: at the end of the program, too, which does not wait for daemons."""
+    stop.set()
+    if thread is not threading.current_thread():
+        thread.join(1.0)
+
+
+def policies(problem: Problem, timeout: float, cancel: CancelToken | None = None) -> Iterator[Policy]:
+    """Return better and better policies: that reach the goal for certain, or else with the best chance that is found so far.
+
+    Raises `Unsuitable` if the problem has more than facts that only actions change.
+    """
+    return _better(problem, policy_task(problem), time.monotonic(), timeout, cancel)
+
+
+def _better(problem: Problem, task: Task, began: float, timeout: float, cancel: CancelToken | None) -> Iterator[Policy]:
+    until = began + timeout
+    search = Search(task, Determinization(problem, task), began + timeout * _CERTAIN, cancel)
+    with suppress(Interrupted):
+        if search.run(task.initial):
+            yield _policy(problem, search)
+            search.until = until
+            for _ in improve(search, until):
+                yield _policy(problem, search)
+            return
+    search.until = until
+    with suppress(Interrupted):
+        for _ in take_chances(search, until):
+            yield _policy(problem, search)
+
+
+def _policy(problem: Problem, search: Search) -> Policy:
+    task, first = search.task, search.settled(search.task.initial)
+    assert first is not None, "there is an entry for the initial state"
+    entries = tuple(
         Entry(
             {**dict.fromkeys(task.named(need.true), True), **dict.fromkeys(task.named(need.false), False)},
             action.name,
             action.arguments,
             distance,
             expected,
+            1.0 - risk,
         )
-        for expected, distance, need, _, action in search.entries
+        for risk, expected, distance, need, _, action in search.entries
         if action is not None
     )
+    certain = [entry for entry in entries if entry.chance == 1.0]
+    is_proved = not first.risk and not unproved(problem, certain, initial_knowledge(problem))
+    return Policy(problem, entries, 1.0 - first.risk, is_proved, partial(course, task, list(search.entries)))

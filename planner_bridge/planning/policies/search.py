@@ -25,22 +25,36 @@ from typing import Final, NamedTuple
 from planner_bridge.model.plan import CancelToken
 from planner_bridge.planning.policies.dead_ends import DeadEnds
 from planner_bridge.planning.policies.encoding import Determinization, OutOfTime, Step
-from planner_bridge.planning.policies.task import Action, Outcome, Part, Task
+from planner_bridge.planning.policies.task import ANY, Action, Outcome, Part, Task
 
 _EXACT: Final = 1e-6
+_CLOSE: Final = 1e-3
+SAME: Final = 1e-6
+"""Risks that differ by less are the same."""
 
 
 class Entry(NamedTuple):
-    """An entry of a policy: how many actions are expected from there on, what has to hold, what to do."""
+    """An entry of a policy: how good it is, what has to hold, what to do. Better ones are less."""
 
+    risk: float
+    """Of not reaching the goal; 0 if it is reached for certain, as long as every outcome comes up sooner or later."""
     expected: float
-    distance: int
+    """Actions that are expected from there on."""
+    distance: float
     """Actions until the goal, with luck."""
     need: Part
     number: int
     """In the order in which they were found, so that entries can be sorted."""
     action: Action | None
     """None at the goal."""
+
+
+class Best(NamedTuple):
+    """What is best in states all ways of which were looked at: the action, the risk, and the expected actions."""
+
+    choice: Mapping[int, Action]
+    risks: Mapping[int, float]
+    costs: Mapping[int, float]
 
 
 @dataclass
@@ -64,7 +78,10 @@ class Search:
         self.task, self.kairos, self.until, self._cancel = task, kairos, until, cancel
         self.dead = DeadEnds(task)
         self.entries: list[Entry] = []
-        """Those that reach the goal whatever the outcomes, the fewest expected actions first."""
+        """The best ones first."""
+        self._best = Best({}, {}, {})
+        self._lost = frozenset[int]()
+        """States that are given up."""
         self._plans: list[tuple[int, int, Part, Action]] = []
         """What has to hold before the steps of plans, and these, the nearest to the goal first."""
         self._kept = set[tuple[Part, Action]]()
@@ -72,21 +89,45 @@ class Search:
         """States of which is known whether they are dead ends even if nothing is undone."""
         self._chosen: dict[int, Action] = {}
         """Actions for single states, which come before those of plans."""
+        self._doomed = set[int]()
+        """States without a plan, even if some relaxation has one."""
+        self._forbidden_here: dict[int, list[tuple[Action, Part]]] = defaultdict(list)
         self._avoided = set[int]()
         """States in which plans for others led in a circle."""
+
+    def is_over(self, until: float) -> bool:
+        """Return whether it is this time, on the clock of `time.monotonic`, or the search was cancelled."""
+        return time.monotonic() > until or (self._cancel is not None and self._cancel.is_set())
 
     def settled(self, state: int) -> Entry | None:
         """Return the entry for the state; None if there is none yet."""
         if part := self.task.goal_in(state):
-            return Entry(0.0, 0, part, 0, None)
-        return next((entry for entry in self.entries if not (entry[2][0] & ~state or entry[2][1] & state)), None)
+            return Entry(0.0, 0.0, 0.0, part, 0, None)
+        if state in self._lost:
+            return Entry(1.0, 0.0, inf, ANY, 0, None)
+        return next((entry for entry in self.entries if not (entry[3][0] & ~state or entry[3][1] & state)), None)
+
+    def follow(self, best: Best, state: int) -> None:
+        """Make entries of what is best for all states that can be reached from this one, instead of plans of their own."""
+        self.dead, self._chosen, self._best = DeadEnds(self.task), dict(best.choice), best
+        self._lost = frozenset(one for one, risk in best.risks.items() if risk >= 1.0 - SAME)
+        self._doomed.clear()
+        self._forbidden_here.clear()
+        self.run(state)
+
+    def _is_settled(self, state: int) -> bool:
+        """Return whether there is an entry for the state, as good as is known to be possible."""
+        entry = self.settled(state)
+        if entry is None or state not in self._best.choice:
+            return entry is not None
+        return entry.risk <= self._best.risks[state] + SAME and entry.expected <= self._best.costs[state] * (1.0 + _CLOSE)
 
     def run(self, state: int) -> bool:
         """Settle the state; return whether there is a policy for it, in so far as `dead.is_certain`. Raises `Interrupted`."""
         order: dict[int, int] = {}
         stack: list[int] = []
         frames: list[_Frame] = []
-        if self.settled(state):
+        if self._is_settled(state):
             return True
 
         def enter(state: int) -> None:
@@ -97,7 +138,7 @@ class Search:
                     if not frames:
                         raise _NoPolicy
                     at = len(frames) - 1
-                    self.dead.forbid(frames[at].action, self.dead.exactly(frames[at].state))
+                    self._forbid_here(frames[at].action, frames[at].state)
                 state = frames[at].state
                 leave(state)
                 del frames[at:]
@@ -116,7 +157,7 @@ class Search:
         try:
             enter(state)
             while frames:
-                if time.monotonic() > self.until or (self._cancel is not None and self._cancel.is_set()):
+                if self.is_over(self.until):
                     raise Interrupted
                 frame = frames[-1]
                 successor = next(frame.successors, None)
@@ -130,7 +171,7 @@ class Search:
                             enter(frame.state)
                 elif successor in order:
                     frame.low = min(frame.low, order[successor])
-                elif not self.settled(successor):
+                elif not self._is_settled(successor):
                     enter(successor)
         except _NoPolicy:
             return False
@@ -140,24 +181,33 @@ class Search:
 
     def _action(self, state: int) -> Action | None:
         """Return an action for a state that is not settled; None if it is a dead end, which is noted."""
-        while state not in self.dead:
+        while state not in self.dead and state not in self._doomed:
             action = self._known(state)
             if action is not None:
                 self._chosen[state] = action
                 return action
             if self._is_dead(state):
                 return None
+            steps: list[Step] | None = None
             try:
                 steps = self.kairos.plan(state, self.dead.forbidden, self.until)
             except OutOfTime:
-                if time.monotonic() > self.until:
+                if self.is_over(self.until):
                     raise Interrupted from None
-                self.dead.is_certain, steps = False, None
+                self.dead.is_certain = False
             if steps is None:
-                self.dead.add(self.dead.exactly(state))
+                self._doomed.add(state)
             else:
                 self._keep(state, steps)
+        for action, part in self._forbidden_here.pop(state, ()):
+            self.dead.allow(action, part)
         return None
+
+    def _forbid_here(self, action: Action, state: int) -> None:
+        """Forbid an action in this very state, as long as that is no dead end itself."""
+        part = self.dead.exactly(state)
+        self.dead.forbid(action, part)
+        self._forbidden_here[state].append((action, part))
 
     def _known(self, state: int) -> Action | None:
         chosen = self._chosen.get(state)
@@ -186,10 +236,11 @@ class Search:
                 break
             way.append((state, (action, number)))
             for after in (outcome.after(state) for outcome in action.outcomes):
-                if after not in self._looked_at:
-                    self._looked_at.add(after)
-                    if not self.settled(after) and self._is_dead(after) and not self.dead.is_forbidden(action, state):
-                        self.dead.forbid(action, self.dead.exactly(state))
+                is_new = after not in self._looked_at
+                self._looked_at.add(after)
+                is_dead = after in self._doomed or (is_new and not self.settled(after) and self._is_dead(after))
+                if is_dead and not self.dead.is_forbidden(action, state):
+                    self._forbid_here(action, state)
             is_safe &= not self.dead.is_forbidden(action, state)
             state = action.outcomes[number].after(state)
         if not is_safe:
@@ -258,33 +309,33 @@ class Search:
                 if need != needs[state]:
                     needs[state] = need
                     waiting.append(state)
-        expected = self._expected(sorted(component, key=distance.__getitem__), actions, ends)
-        for state in component:
-            entry = Entry(expected[state], distance[state], needs[state], len(self.entries), actions[state])
-            if not any(entry.need.implies(other.need) for other in self.entries if other.expected <= entry.expected):
-                insort(self.entries, entry)
-        return True
-
-    def _expected(
-        self, component: list[int], actions: Mapping[int, Action], ends: Mapping[int, list[tuple[Outcome, Entry]]]
-    ) -> dict[int, float]:
-        """Return how many actions are expected from each state on (Gauss-Seidel iteration, to a millionth)."""
         rows = []
-        for state in component:
+        for state in sorted(component, key=distance.__getitem__):
             chances: dict[int, float] = defaultdict(float)
             for outcome in actions[state].outcomes:
                 chances[outcome.after(state)] += outcome.chance
-            fixed = 1.0 + sum(outcome.chance * entry.expected for outcome, entry in ends[state])
             stays = chances.pop(state, 0.0)
-            rows.append((state, 1.0 - stays, fixed, [(after, chance) for after, chance in chances.items() if after in actions]))
-        values, change = dict.fromkeys(component, 0.0), inf
-        while change > _EXACT:
-            change = 0.0
-            for state, goes, fixed, others in rows:
-                value = (fixed + sum(chance * values[after] for after, chance in others)) / goes
-                change = max(change, (value - values[state]) / value)
-                values[state] = value
-        return values
+            rows.append((state, 1.0 - stays, [(after, chance) for after, chance in chances.items() if after in actions]))
+        risk = {state: sum(outcome.chance * entry.risk for outcome, entry in ends[state]) for state in component}
+        expected = {state: 1.0 + sum(outcome.chance * entry.expected for outcome, entry in ends[state]) for state in component}
+        for values in (risk, expected):
+            _solve(rows, values)
+        for state in component:
+            entry = Entry(round(risk[state], 6), expected[state], distance[state], needs[state], len(self.entries), actions[state])
+            if not any(entry.need.implies(other.need) for other in self.entries if other[:2] <= entry[:2]):
+                insort(self.entries, entry)
+        return True
+
+
+def _solve(rows: list[tuple[int, float, list[tuple[int, float]]]], values: dict[int, float]) -> None:
+    """Add to each value those of the states that follow, with their chances, to a millionth (Gauss-Seidel iteration)."""
+    fixed, change = dict(values), inf if any(values.values()) else 0.0
+    while change > _EXACT:
+        change = 0.0
+        for state, goes, others in rows:
+            value = (fixed[state] + sum([chance * values[after] for after, chance in others])) / goes
+            change = max(change, abs(value - values[state]) / (value or 1.0))
+            values[state] = value
 
 
 class _NoPolicy(Exception):

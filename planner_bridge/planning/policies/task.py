@@ -6,7 +6,7 @@ and end effects after its start effects: policies carry out one action of severa
 
 from __future__ import annotations
 
-from collections import defaultdict, deque
+from collections import Counter, defaultdict, deque
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
@@ -145,6 +145,23 @@ class Task:
     def named(self, bits: int) -> list[Fluent]:
         """Return the facts of these bits."""
         return [self.facts[number] for number in places(bits)]
+
+    def usable(self, state: int) -> Iterator[Action]:
+        """Yield the actions that can be used in the state."""
+        for place in (-1, *places(state)):
+            for part, action in self._by_fact.get(place, ()):
+                if part.holds(state) and (len(action.conditions) == 1 or action.condition_in(state) is part):
+                    yield action
+
+    @cached_property
+    def _by_fact(self) -> dict[int, list[tuple[Part, Action]]]:
+        """Return the actions by one of the facts that they need, that which the fewest of them do; -1 if they need none."""
+        counts = Counter(place for action in self.actions for part in action.conditions for place in places(part.true))
+        found: dict[int, list[tuple[Part, Action]]] = defaultdict(list)
+        for action in self.actions:
+            for part in action.conditions:
+                found[min(places(part.true), key=counts.__getitem__, default=-1)].append((part, action))
+        return found
 
     @cached_property
     def groups(self) -> tuple[int, ...]:

@@ -1,4 +1,4 @@
-"""Policies against exact answers: whether there is one that reaches the goal for certain, and that what is proved does."""
+"""Policies against exact answers: the best chance there is, what is proved, and what the proof refuses."""
 
 from __future__ import annotations
 
@@ -6,24 +6,107 @@ import pytest
 from hypothesis import given, settings, strategies as st
 
 from planner_bridge.model.grounding import initial_knowledge
+from planner_bridge.model.problem import Problem
 from planner_bridge.pddl.reader import parse_domain, parse_problem
-from planner_bridge.planning.policies.policy import find_policy
+from planner_bridge.planning.policies.policy import Policy, policies
 from planner_bridge.planning.policies.proof import unproved
+from planner_bridge.planning.solve import solve
 from tests.support.pddl.chance import Exact, texts
 
+TIRES = """
+(define (domain tires) (:requirements :typing :non-deterministic) (:types place)
+  (:predicates (car ?p - place) (spare ?p - place) (road ?p ?q - place) (flat))
+  (:action drive :parameters (?p ?q - place) :precondition (and (car ?p) (road ?p ?q) (not (flat)))
+    :effect (and (car ?q) (not (car ?p)) (oneof (and) (flat))))
+  (:action change :parameters (?p - place) :precondition (and (car ?p) (spare ?p)) :effect (and (not (spare ?p)) (not (flat)))))
+"""
+WAYS = "(road a b) (road b z) (road a c) (road c d) (road d z)"
 
-@settings(max_examples=300)
+
+def tires(init: str = f"(car a) (spare c) (spare d) {WAYS}", goal: str = "(car z)") -> Problem:
+    domain = parse_domain(TIRES)
+    return parse_problem(f"(define (problem p) (:domain tires) (:objects a b c d z - place) (:init {init}) (:goal {goal}))", domain)
+
+
+def found(problem: Problem) -> Policy:
+    *_, best = policies(problem, 60.0)
+    return best
+
+
+@settings(max_examples=200)
 @given(st.integers(0, 10**9))
-def test_a_policy_is_found_where_there_is_one(seed: int) -> None:
+def test_the_best_policy_is_found(seed: int) -> None:
     domain, of_problem = texts(seed)
     problem = parse_problem(of_problem, parse_domain(domain))
     exact = Exact(problem)
-    policy = find_policy(problem, 60.0)
-    assert (policy is not None) is exact.has_strong_cyclic_policy
-    if policy is not None:
-        assert policy.is_proved, unproved(problem, policy.entries, initial_knowledge(problem))
-        chance, expected, ends_at_goal = exact.played(policy)
-        assert ends_at_goal
-        assert chance == pytest.approx(1.0)
-        entry = policy.entry(exact.knowledge(exact.initial))
-        assert exact.is_goal(exact.initial) or (entry is not None and expected <= entry.expected * 1.001)
+    every = [*policies(problem, 60.0)]
+    if not every:
+        assert exact.best_chance == 0.0
+        return
+    best = every[-1]
+    chance, _, ends_at_goal = exact.played(best)
+    assert chance == pytest.approx(exact.best_chance, abs=1e-5)
+    assert chance == pytest.approx(best.chance, abs=1e-5)
+    assert ends_at_goal is best.is_proved is exact.has_strong_cyclic_policy, unproved(problem, best.entries, initial_knowledge(problem))
+
+
+def test_the_short_way_is_not_taken_where_it_may_have_no_way_out() -> None:
+    problem = tires()
+    policy = found(problem)
+    assert policy.is_proved
+    whole, stretch = policy.plan(initial_knowledge(problem)), policy.stretch(initial_knowledge(problem))
+    assert whole is not None
+    assert [str(step) for step in whole.steps] == ["drive(a, c) -> 1", "drive(c, d) -> 1", "drive(d, z) -> 1"]
+    assert stretch is not None
+    assert [step.arguments for step in stretch.steps] == [("a", "c")]
+    stretch = policy.stretch(initial_knowledge(tires(f"(car c) (spare c) (spare d) (flat) {WAYS}")))
+    assert stretch is not None
+    assert [step.action for step in stretch.steps] == ["change", "drive"]
+    assert policy.stretch(initial_knowledge(tires(f"(car b) (flat) {WAYS}"))) is None
+
+
+def test_where_nothing_is_certain_the_chance_is_the_best() -> None:
+    policy = found(tires(f"(car a) (spare c) {WAYS}"))
+    assert not policy.is_proved
+    assert policy.chance == pytest.approx(0.5)
+    assert not [*policies(tires("(car a)"), 60.0)]
+
+
+@pytest.mark.parametrize("wrong", ["without an entry", "without a fact", "another action", "in a circle", "not from here"])
+def test_the_proof_refuses_what_is_not_so(wrong: str) -> None:
+    problem = tires()
+    entries = list(found(problem).entries)
+    initial = initial_knowledge(problem if wrong != "not from here" else tires(f"(car b) {WAYS}"))
+    last = max(range(len(entries)), key=lambda number: entries[number].expected)
+    assert unproved(problem, entries, initial_knowledge(problem)) == ""
+    match wrong:
+        case "without an entry":
+            del entries[next(number for number, entry in enumerate(entries) if entry.action == "change")]
+        case "without a fact":
+            entries[last] = entries[last]._replace(facts={fact: value for fact, value in entries[last].facts.items() if fact[0] != "spare"})
+        case "another action":
+            entries[last] = entries[last]._replace(arguments=("a", "b"))
+        case "in a circle":
+            entries = [entry._replace(expected=1.0) for entry in entries]
+    assert unproved(problem, entries, initial) != ""
+
+
+def test_a_plan_comes_with_its_policy() -> None:
+    result = solve(tires())
+    assert result.policy is not None
+    assert result.plan is not None
+    assert len(result.plan.steps) == 3
+    assert result.policy.stretch(initial_knowledge(tires())) is not None
+
+
+def test_what_policies_do_not_know_is_said_and_planned_as_if_one_could_choose() -> None:
+    with_fuel = TIRES.replace("(flat))\n", "(flat)) (:functions (fuel))\n", 1).replace(":typing", ":typing :fluents")
+    with_fuel = with_fuel.replace("(not (flat)))\n", "(not (flat)) (>= (fuel) 1))\n").replace(
+        "(and (car ?q) (not", "(and (decrease (fuel) 1) (car ?q) (not"
+    )
+    text = "(define (problem p) (:domain tires) (:objects a z - place) (:init (car a) (= (fuel) 3) (road a z)) (:goal (car z)))"
+    result = solve(parse_problem(text, parse_domain(with_fuel)))
+    assert result.policy is None
+    assert result.message == "no policy is looked for: the problem has numbers and objects that actions change"
+    assert result.plan is not None
+    assert len(result.plan.steps) == 1

@@ -13,12 +13,11 @@ from statistics import mean
 from typing import Any, Final, NamedTuple
 
 from planner_bridge.model.grounding import initial_knowledge
-from planner_bridge.model.plan import PlanningResult, PlanningStatus
+from planner_bridge.model.plan import PlanningResult, PlanningStatus, Policy
 from planner_bridge.model.problem import Problem
 from planner_bridge.pddl import parse_domain, parse_problem
 from planner_bridge.pipeline.achieve import achieve_at
 from planner_bridge.pipeline.loading import load
-from planner_bridge.planning.policies.policy import Policy
 from planner_bridge.planning.solve import solve
 from planner_bridge.tasks.settings import Memory, Settings
 from pnm.clock import run_async
@@ -63,7 +62,7 @@ class Kept(Memory):
         self.searches += 1
         began = time.perf_counter()
         result = search(timeout)
-        if isinstance(policy := result.policy, Policy) and self.searches == 1:
+        if (policy := result.policy) and self.searches == 1:
             self.policy = policy
             self.told = {"closed": time.perf_counter() - began, "size": len(policy.entries), "proved": policy.is_proved}
         if result.status in (PlanningStatus.SOLVED, PlanningStatus.UNSOLVABLE):

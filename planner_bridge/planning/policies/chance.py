@@ -1,0 +1,278 @@
+"""The best chance of the goal, and then the fewest expected actions, among the actions of many states: value iteration.
+
+The states are those of an envelope: all that can be reached if they are few, else those on the way of plans and what may go wrong there.
+What lies outside counts as lost, unless entries of the policy are known for it.
+"""
+
+from __future__ import annotations
+
+import time
+from collections import defaultdict
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from math import inf
+from typing import Final, NamedTuple
+
+from planner_bridge.planning.policies.dead_ends import DeadEnds
+from planner_bridge.planning.policies.encoding import OutOfTime
+from planner_bridge.planning.policies.search import SAME, Best, Search
+from planner_bridge.planning.policies.task import Action, Part
+
+MOST_STATES: Final = 20_000
+"""States of an envelope at most."""
+_EXACT: Final = 1e-7
+_NONE: Final[Mapping[Action, Sequence[Part]]] = {}
+_NOTHING: Final[Mapping[int, float]] = {}
+_CLOSE: Final = 1e-4
+_FEW: Final = 2_000
+"""States that are looked into in any case."""
+_SOME: Final = 5_000
+"""States in which fewer actions are looked for, at most."""
+_SHARE: Final = 0.3
+"""Part of the time for the states that are the likeliest to matter, before all are looked into."""
+_STEPS: Final = 300
+_HARDLY: Final = 0.003
+_AT_ONCE: Final = 20
+"""Chances that differ by less are the same."""
+
+
+class End(NamedTuple):
+    """What is known of a state that is not looked into."""
+
+    risk: float
+    """Of not reaching the goal."""
+    expected: float
+    """Actions that are expected from there on."""
+
+
+class Way(NamedTuple):
+    """An action in a state, and the states that it may lead to, with their chances."""
+
+    action: Action
+    after: tuple[tuple[int, float], ...]
+
+
+class Envelope:
+    """States with all their ways: mutable state.
+
+    Args:
+        end: says what is known of a state, None if it has to be looked into.
+    """
+
+    def __init__(self, search: Search, end: Callable[[int], End | None]) -> None:
+        self._task, self._end, self._is_over = search.task, end, search.is_over
+        self.ways: dict[int, list[Way]] = {}
+        self.ends: dict[int, End] = {}
+        self.open: dict[int, None] = {}
+        """States that are not looked into yet."""
+
+    def expand(self, state: int) -> list[int]:
+        """Look into a state; return the states that its actions may lead to, and that nothing is known of yet."""
+        new: list[int] = []
+        self.open.pop(state, None)
+        self.ways[state] = found = []
+        for action in self._task.usable(state):
+            after: dict[int, float] = defaultdict(float)
+            for outcome in action.outcomes:
+                after[outcome.after(state)] += outcome.chance
+            if after.keys() != {state}:
+                found.append(Way(action, tuple(after.items())))
+                for one in after:
+                    if one not in self.ways and one not in self.ends and one not in self.open:
+                        end = self._end(one)
+                        if end is None:
+                            self.open[one] = None
+                            new.append(one)
+                        else:
+                            self.ends[one] = end
+        return new
+
+    def grow(self, state: int, until: float, most: int = MOST_STATES) -> bool:
+        """Look into all states that can be reached; return whether these are not too many."""
+        waiting = [state, *self.open]
+        for one in waiting:
+            if one not in self.ways:
+                if len(self.ways) >= most or self._is_over(until):
+                    return False
+                waiting += self.expand(one)
+        return True
+
+    def best(self, until: float, known: Mapping[int, float] = _NOTHING, unseen: float = 1.0) -> Best:
+        """Return what is best in every state that has a chance.
+
+        Args:
+            known: how many actions are expected from states on at most.
+            unseen: the risk of states that are not looked into yet.
+        """
+        states, certain = [*reversed(self.ways)], self._certain()
+        risks = {state: end.risk for state, end in self.ends.items()} | dict.fromkeys(self.open, unseen)
+        risks |= {state: 0.0 if state in certain else 1.0 for state in states}
+        rows = [(state, [way.after for way in self.ways[state]]) for state in states if state not in certain and self.ways[state]]
+        change = inf
+        while change > _EXACT and not self._is_over(until):
+            change = 0.0
+            for state, ways in rows:
+                value = min([sum([p * risks[after] for after, p in way]) for way in ways])
+                if risks[state] - value > change:
+                    change = risks[state] - value
+                risks[state] = value
+        costs = {state: end.expected for state, end in self.ends.items()} | dict.fromkeys(self.open, 0.0)
+        costs |= {state: known.get(state, 0.0) for state in states}
+        choice: dict[int, Action] = {}
+        good = list[tuple[int, list[tuple[Action, float, list[tuple[int, float]]]]]]()
+        for state in states:
+            limit = risks[state] + (0.0 if state in certain else SAME)
+            if limit < 1.0:
+                fitting = [way for way in self.ways[state] if sum([p * risks[after] for after, p in way.after]) <= limit]
+                stays = [sum(p for after, p in way.after if after == state) for way in fitting]
+                others = [[pair for pair in way.after if pair[0] != state] for way in fitting]
+                good.append((state, [(way.action, 1.0 - p, rest) for way, p, rest in zip(fitting, stays, others, strict=True)]))
+        change = inf
+        while change > _CLOSE and not self._is_over(until):
+            change = 0.0
+            for state, fit in good:
+                value = inf
+                for action, goes, rest in fit:
+                    cost = (1.0 + sum([p * costs[after] for after, p in rest])) / goes
+                    if cost < value:
+                        value, choice[state] = cost, action
+                if abs(value - costs[state]) > change * value:
+                    change = abs(value - costs[state]) / value
+                costs[state] = value
+        return Best(choice, risks, costs)
+
+    def _certain(self) -> set[int]:
+        """Return the states from which the goal can be reached for certain."""
+        kept = set(self.ways)
+        before: dict[int, list[tuple[int, int]]] = defaultdict(list)
+        for state, ways in self.ways.items():
+            for number, way in enumerate(ways):
+                for after, _ in way.after:
+                    before[after].append((state, number))
+        sure = [state for state, end in self.ends.items() if not end.risk]
+
+        def is_safe(state: int, number: int) -> bool:
+            return all(after in kept or (after in self.ends and not self.ends[after].risk) for after, _ in self.ways[state][number].after)
+
+        while True:
+            reaching, waiting = set[int](), [*sure]
+            while waiting:
+                for state, number in before[waiting.pop()]:
+                    if state in kept and state not in reaching and is_safe(state, number):
+                        reaching.add(state)
+                        waiting.append(state)
+            if len(reaching) == len(kept):
+                return kept
+            kept = reaching
+
+
+def improve(search: Search, until: float) -> Iterator[None]:
+    """Choose actions anew, among all that keep the goal certain, in the states that the entries lead to, as long as that takes fewer."""
+    initial, before = search.task.initial, inf
+    while (first := search.settled(initial)) is not None and first.expected < before * (1.0 - _CLOSE):
+        before = first.expected
+        costs: dict[int, float] = {}
+        waiting = [initial]
+        for state in waiting:
+            entry = search.settled(state)
+            if entry is not None and entry.action is not None and state not in costs:
+                costs[state] = entry.expected
+                waiting += (outcome.after(state) for outcome in entry.action.outcomes)
+            if len(costs) > _SOME or search.is_over(until):
+                return
+
+        def end(state: int, costs: Mapping[int, float] = costs) -> End | None:
+            if state in costs:
+                return None
+            entry = search.settled(state)
+            return End(1.0, 0.0) if entry is None else End(0.0, entry.expected)
+
+        envelope = Envelope(search, end)
+        if not envelope.grow(initial, until):
+            return
+        search.follow(envelope.best(until, costs), initial)
+        yield
+
+
+def take_chances(search: Search, until: float) -> Iterator[None]:
+    """Find better and better chances of the goal where it cannot be reached for certain: entries of the search."""
+    task, hopeless, avoided = search.task, DeadEnds(search.task), DeadEnds(search.task)
+
+    def end(state: int) -> End | None:
+        entry = search.settled(state)
+        if entry is not None and not entry.risk:
+            return End(0.0, entry.expected)
+        if state not in hopeless:
+            part = hopeless.explained(state)
+            if part is None:
+                return None
+            hopeless.ends.append(part)
+            avoided.add(part)
+        return End(1.0, 0.0)
+
+    def follow() -> bool:
+        best = envelope.best(inf)
+        if task.initial in best.choice:
+            search.entries = [entry for entry in search.entries if not entry.risk]
+            search.follow(best, task.initial)
+        return task.initial in best.choice
+
+    if end(task.initial) is not None:
+        return
+    envelope = Envelope(search, end)
+    now = time.monotonic()
+    _widen(search, avoided, envelope, now + _SHARE * (until - now), unseen=1.0)
+    if follow():
+        yield
+    if not envelope.grow(task.initial, until, _FEW):
+        now = time.monotonic()
+        is_best = _widen(search, avoided, envelope, now + _SHARE * (until - now), unseen=0.0)
+        if follow():
+            yield
+        if is_best or not envelope.grow(task.initial, until):
+            return
+    if follow():
+        yield
+
+
+def _widen(search: Search, avoided: DeadEnds, envelope: Envelope, until: float, unseen: float) -> bool:
+    """Look into states on the way of plans, and again of plans from where outcomes are likely to lead out; return whether none does.
+
+    After RFF (Teichteil-Koenigsbuch, Kuter and Infantes, *Incremental Plan Aggregation for Generating Policies in MDPs*, 2010). If states
+    that are not looked into count as sure (`unseen` is 0), nothing is better in the end (LAO*, Hansen and Zilberstein, 2001).
+    """
+    likely = [search.task.initial]
+    while likely:
+        for state in likely:
+            envelope.expand(state)
+            for forbidden in (avoided.forbidden, _NONE):
+                at = state
+                try:
+                    steps = search.kairos.plan(state, forbidden, until)
+                except OutOfTime:
+                    steps = None
+                for action, number in steps or ():
+                    if at not in envelope.ways and at not in envelope.ends:
+                        envelope.expand(at)
+                    at = action.outcomes[number].after(at)
+        if search.is_over(until) or len(envelope.ways) > MOST_STATES:
+            return False
+        likely = _reached(search.task.initial, envelope.best(until, unseen=unseen).choice, envelope)
+    return True
+
+
+def _reached(initial: int, choice: Mapping[int, Action], envelope: Envelope) -> list[int]:
+    """Return the states where the chosen actions lead out of the envelope, the likeliest first, without those that hardly count."""
+    out: dict[int, float] = defaultdict(float)
+    here = {initial: 1.0} if initial in choice else {}
+    for _ in range(_STEPS):
+        after: dict[int, float] = defaultdict(float)
+        for state, likely in here.items():
+            for outcome in choice[state].outcomes:
+                after[outcome.after(state)] += likely * outcome.chance
+        here = {}
+        for state, likely in after.items():
+            if state in choice:
+                here[state] = likely
+            elif state in envelope.open:
+                out[state] += likely
+    return sorted((state for state, likely in out.items() if likely > _HARDLY), key=lambda state: (-out[state], state))[:_AT_ONCE]
