@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
@@ -17,8 +17,9 @@ from planner_bridge.model.plan import Plan, PlanningResult, PlanningStatus, Plan
 from planner_bridge.model.problem import Metric, Problem
 from planner_bridge.ordering.plan_to_graph import plan_graph
 from planner_bridge.ordering.robot_time import ExpectedTimes
-from planner_bridge.planning.improvement import EXCHANGE, WORTH_IT, improvement
+from planner_bridge.planning.improvement import EXCHANGE, WORTH_IT, Improvement, improvement, steps_of
 from planner_bridge.planning.solve import solve
+from planner_bridge.tasks import plan_search
 from planner_bridge.tasks.replanning import BetterRest, PlanAgain, ResumePlan, decision_words
 from planner_bridge.tasks.result import TaskResult
 from planner_bridge.tasks.settings import Memory, Settings
@@ -26,11 +27,13 @@ from pnm.actions.faults import NO_FAULTS, Fault, FaultKind, Faults, HiddenChange
 from pnm.core.logic.expressions import ValueOf
 from pnm.core.machine.bindings import Binding, Bindings
 from pnm.core.machine.machine import OnFailure
+from pnm.core.machine.plan_graph import ActionCall
 from pnm.tasks import Code, Wanted
 from tests.support.pddl.problems import rooms
 from tests.support.runs.simulation.disk import DEATHS, DiskPlan
 from tests.support.tasks.replanning import decisions, pursued
 from tests.support.tasks.scenarios.crash import survive
+from tests.support.tasks.scenarios.random_deaths import run_deaths
 
 BINDINGS = Bindings({"move": Binding(seconds=5.0), "sweep": Binding(seconds=4.0)})
 IN_A_SECOND = Bindings({"move": Binding(seconds=1.0), "sweep": Binding(seconds=1.0)})
@@ -190,3 +193,21 @@ def test_another_process_goes_on_with_a_better_rest_and_all_readers_tell_why_it_
     told = [run.replan.why for run in history.tasks[UUID(int=1)].own_runs if run.replan]
     assert told == ([decision_words(BetterRest("it takes 20 s less"))] if not deaths else told)
     assert all("a better rest of the plan was found at work" in why or "another plan was found" in why for why in told)
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_plans_may_be_exchanged_at_any_time_among_other_tasks_and_deaths(
+    seed: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    random = Random(seed)
+
+    def other_rest(
+        _now: Problem, _under_way: object, _calls: object, waiting: Sequence[ActionCall], *_: object
+    ) -> tuple[float, Improvement | None]:
+        if not waiting or random.random() < 0.3:
+            return 0.0, None
+        replaced = waiting[random.randrange(len(waiting)) :]
+        return WORTH_IT, Improvement(frozenset(call.index for call in replaced), steps_of(replaced), "it is another one")
+
+    monkeypatch.setattr(plan_search, "improvement", other_rest)
+    run_deaths(seed, tmp_path, improve=1.0)

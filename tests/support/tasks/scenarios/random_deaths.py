@@ -22,7 +22,7 @@ LENGTHS: Final = (1, 3, 10, 1000)
 """Records after which a segment begins while tasks go on: most processes go on with what was said again at the beginning of one."""
 
 
-def run_deaths(number: int, folder: Path) -> Counter[Code]:
+def run_deaths(number: int, folder: Path, *, improve: float = 0.0) -> Counter[Code]:
     """Carry out the tasks of this number, in up to five processes; return how they have ended, and complain about what is wrong."""
     rng = random.Random(number)
     scenario = draw(rng)
@@ -31,7 +31,7 @@ def run_deaths(number: int, folder: Path) -> Counter[Code]:
         survival = survive(
             scenario.world.problem,
             tasks,
-            replace(scenario.settings, improve=0.0, bindings=_unasked(scenario.settings.bindings)),
+            replace(scenario.settings, improve=improve, bindings=_unasked(scenario.settings.bindings)),
             folder / "journal",
             [DiskPlan(rng.randrange(1, 40), rng.choice(DEATHS), torn=rng.random()) for _ in range(rng.randrange(1, 5))],
             faults=scenario.faults if rng.random() < 0.5 else NO_FAULTS,
