@@ -41,7 +41,6 @@ from pnm.core.execution.run_view import RunView
 from pnm.core.logic.conditions import TRUE
 from pnm.core.logic.expressions import fluent_text
 from pnm.core.machine.plan_graph import ActionCall, PlanGraph
-from pnm.core.machine.requests import CallOutcome
 from pnm.errors import InputError
 from pnm.journal.replay import ReplayedTask
 from pnm.tasks import Code, OnConflict, TaskState
@@ -171,9 +170,10 @@ class PlanSearch:
     def better_than(self, progress: Progress) -> Improvement | None:
         """Return a better rest of the plan that has been found, if nothing has begun of what it replaces."""
         better, its = self._better, self._improving and self._improving[0]
-        if better and progress.plan is its and all(progress.calls[call].kind is CallOutcome.WAITING for call in better.replaced):
-            return better
-        return None
+        if better is None or progress.plan is not its:
+            return None
+        replaced = (progress.calls[call] for call in better.replaced)
+        return better if all(result.started is None and not result.is_done for result in replaced) else None
 
     def take_better(self, progress: Progress) -> Plan | None:
         """Return the plan from now on with the better rest, which is not offered again; None if it does not fit any more."""
