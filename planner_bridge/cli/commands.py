@@ -117,7 +117,6 @@ def plan(
     loaded, result, bound, learned = options.planned(files, bindings, rates, planner, planner_timeout, improve, is_looked_at=True)
     odds = policy = None
     if result.policy is not None:
-        from planner_bridge.planning.policies.course import course_dot
         from planner_bridge.planning.policies.policy import Thinking
 
         policy = result.policy.policy if isinstance(result.policy, Thinking) else None
@@ -151,7 +150,7 @@ def plan(
         from pnm.core.pictures.plan_picture import plan_dot, plan_svg
 
         graph = plan_graph(loaded, result.plan)
-        picture = plan_svg(graph) if written_as == "svg" else course_dot(policy.course()) if policy else plan_dot(graph)
+        picture = plan_svg(graph) if written_as == "svg" else policy.dot() if policy else plan_dot(graph)
         options.write(output, picture, force=force)
     else:
         lines = [f"plan     {result.plan}"]

@@ -12,15 +12,15 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from math import inf
 from typing import Final, NamedTuple
 
-from planner_bridge.planning.policies.dead_ends import DeadEnds
+from planner_bridge.planning.policies.dead_ends import DeadStates
 from planner_bridge.planning.policies.encoding import OutOfTime
-from planner_bridge.planning.policies.search import SAME, Best, Search
-from planner_bridge.planning.policies.task import Action, Part
+from planner_bridge.planning.policies.search import SAME, BestWays, Search
+from planner_bridge.planning.policies.task import PartialState, PolicyAction
 
 MOST_STATES: Final = 20_000
 """States of an envelope at most."""
 _EXACT: Final = 1e-7
-_NONE: Final[Mapping[Action, Sequence[Part]]] = {}
+_NONE: Final[Mapping[PolicyAction, Sequence[PartialState]]] = {}
 _NOTHING: Final[Mapping[int, float]] = {}
 _CLOSE: Final = 1e-4
 _FEW: Final = 2_000
@@ -35,7 +35,7 @@ _AT_ONCE: Final = 20
 """Chances that differ by less are the same."""
 
 
-class End(NamedTuple):
+class KnownEnd(NamedTuple):
     """What is known of a state that is not looked into."""
 
     risk: float
@@ -44,10 +44,10 @@ class End(NamedTuple):
     """Actions that are expected from there on."""
 
 
-class Way(NamedTuple):
+class ActionWay(NamedTuple):
     """An action in a state, and the states that it may lead to, with their chances."""
 
-    action: Action
+    action: PolicyAction
     after: tuple[tuple[int, float], ...]
 
 
@@ -58,10 +58,10 @@ class Envelope:
         end: says what is known of a state, None if it has to be looked into.
     """
 
-    def __init__(self, search: Search, end: Callable[[int], End | None]) -> None:
+    def __init__(self, search: Search, end: Callable[[int], KnownEnd | None]) -> None:
         self._task, self._end, self._is_over = search.task, end, search.is_over
-        self.ways: dict[int, list[Way]] = {}
-        self.ends: dict[int, End] = {}
+        self.ways: dict[int, list[ActionWay]] = {}
+        self.ends: dict[int, KnownEnd] = {}
         self.open: dict[int, None] = {}
         """States that are not looked into yet."""
 
@@ -75,7 +75,7 @@ class Envelope:
             for outcome in action.outcomes:
                 after[outcome.after(state)] += outcome.chance
             if after.keys() != {state}:
-                found.append(Way(action, tuple(after.items())))
+                found.append(ActionWay(action, tuple(after.items())))
                 for one in after:
                     if one not in self.ways and one not in self.ends and one not in self.open:
                         end = self._end(one)
@@ -96,7 +96,7 @@ class Envelope:
                 waiting += self.expand(one)
         return True
 
-    def best(self, until: float, known: Mapping[int, float] = _NOTHING, unseen: float = 1.0) -> Best:
+    def best(self, until: float, known: Mapping[int, float] = _NOTHING, unseen: float = 1.0) -> BestWays:
         """Return what is best in every state that has a chance.
 
         Args:
@@ -117,8 +117,8 @@ class Envelope:
                 risks[state] = value
         costs = {state: end.expected for state, end in self.ends.items()} | dict.fromkeys(self.open, 0.0)
         costs |= {state: known.get(state, 0.0) for state in states}
-        choice: dict[int, Action] = {}
-        good = list[tuple[int, list[tuple[Action, float, list[tuple[int, float]]]]]]()
+        choice: dict[int, PolicyAction] = {}
+        good = list[tuple[int, list[tuple[PolicyAction, float, list[tuple[int, float]]]]]]()
         for state in states:
             limit = risks[state] + (0.0 if state in certain else SAME)
             if limit < 1.0:
@@ -138,7 +138,7 @@ class Envelope:
                 if abs(value - costs[state]) > change * value:
                     change = abs(value - costs[state]) / value
                 costs[state] = value
-        return Best(choice, risks, costs)
+        return BestWays(choice, risks, costs)
 
     def _certain(self) -> set[int]:
         """Return the states from which the goal can be reached for certain."""
@@ -180,11 +180,11 @@ def improve(search: Search, until: float) -> Iterator[None]:
             if len(costs) > _SOME or search.is_over(until):
                 return
 
-        def end(state: int, costs: Mapping[int, float] = costs) -> End | None:
+        def end(state: int, costs: Mapping[int, float] = costs) -> KnownEnd | None:
             if state in costs:
                 return None
             entry = search.settled(state)
-            return End(1.0, 0.0) if entry is None else End(0.0, entry.expected)
+            return KnownEnd(1.0, 0.0) if entry is None else KnownEnd(0.0, entry.expected)
 
         envelope = Envelope(search, end)
         if not envelope.grow(initial, until):
@@ -195,19 +195,19 @@ def improve(search: Search, until: float) -> Iterator[None]:
 
 def take_chances(search: Search, until: float) -> Iterator[None]:
     """Find better and better chances of the goal where it cannot be reached for certain: entries of the search."""
-    task, hopeless, avoided = search.task, DeadEnds(search.task), DeadEnds(search.task)
+    task, hopeless, avoided = search.task, DeadStates(search.task), DeadStates(search.task)
 
-    def end(state: int) -> End | None:
+    def end(state: int) -> KnownEnd | None:
         entry = search.settled(state)
         if entry is not None and not entry.risk:
-            return End(0.0, entry.expected)
+            return KnownEnd(0.0, entry.expected)
         if state not in hopeless:
             part = hopeless.explained(state)
             if part is None:
                 return None
             hopeless.ends.append(part)
             avoided.add(part)
-        return End(1.0, 0.0)
+        return KnownEnd(1.0, 0.0)
 
     def follow() -> bool:
         best = envelope.best(inf)
@@ -234,7 +234,7 @@ def take_chances(search: Search, until: float) -> Iterator[None]:
         yield
 
 
-def _widen(search: Search, avoided: DeadEnds, envelope: Envelope, until: float, unseen: float) -> bool:
+def _widen(search: Search, avoided: DeadStates, envelope: Envelope, until: float, unseen: float) -> bool:
     """Look into states on the way of plans, and again of plans from where outcomes are likely to lead out; return whether none does.
 
     After RFF (Teichteil-Koenigsbuch, Kuter and Infantes, *Incremental Plan Aggregation for Generating Policies in MDPs*, 2010). If states
@@ -260,7 +260,7 @@ def _widen(search: Search, avoided: DeadEnds, envelope: Envelope, until: float, 
     return True
 
 
-def _reached(initial: int, choice: Mapping[int, Action], envelope: Envelope) -> list[int]:
+def _reached(initial: int, choice: Mapping[int, PolicyAction], envelope: Envelope) -> list[int]:
     """Return the states where the chosen actions lead out of the envelope, the likeliest first, without those that hardly count."""
     out: dict[int, float] = defaultdict(float)
     here = {initial: 1.0} if initial in choice else {}

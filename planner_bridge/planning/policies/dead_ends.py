@@ -12,24 +12,24 @@ from collections import defaultdict
 from collections.abc import Iterable
 from typing import Final
 
-from planner_bridge.planning.policies.task import ANY, Action, Part, Task, places
+from planner_bridge.planning.policies.task import ANY, PartialState, PolicyAction, PolicyTask, places
 
 _ALWAYS: Final = 0
 _GOAL: Final = 1
 
 
-class DeadEnds:
+class DeadStates:
     """The dead ends so far and the forbidden actions: mutable state.
 
     A literal is a number: twice the place of a fact, plus 2 for true and 3 for false; others stand for "this pair of an action and a part
     does not forbid it". A rule makes its literals possible once all that it needs is.
     """
 
-    def __init__(self, task: Task) -> None:
-        self.task, self.ends = task, list[Part]()
+    def __init__(self, task: PolicyTask) -> None:
+        self.task, self.ends = task, list[PartialState]()
         self.is_certain = True
         """Whether all of them are known to be dead ends: a time-out proves nothing."""
-        self.forbidden: dict[Action, list[Part]] = defaultdict(list)
+        self.forbidden: dict[PolicyAction, list[PartialState]] = defaultdict(list)
         self._count = 2 * len(task.facts) + 2
         self._places = range(0, 2 * len(task.facts), 2)
         self._groups = {1 << number: group for group in task.groups for number in places(group)}
@@ -37,11 +37,11 @@ class DeadEnds:
         self._makes: list[tuple[int, ...]] = []
         self._needed_by: list[list[int]] = [[] for _ in range(self._count)]
         self._made_by: list[list[int]] = [[] for _ in range(self._count)]
-        self._rules_of: dict[Action, list[int]] = defaultdict(list)
-        self._leading: dict[tuple[int, bool], list[tuple[Part, int, int, int, Action]]] = defaultdict(list)
+        self._rules_of: dict[PolicyAction, list[int]] = defaultdict(list)
+        self._leading: dict[tuple[int, bool], list[tuple[PartialState, int, int, int, PolicyAction]]] = defaultdict(list)
         """For every fact that becomes true, or false, how: under this condition, with other facts that it excludes, by these changes."""
         for action in task.actions:
-            changes: dict[Part, tuple[int, int]] = {}
+            changes: dict[PartialState, tuple[int, int]] = {}
             for change in (change for outcome in action.outcomes for change in outcome.changes):
                 add, delete = changes.get(change.condition, (0, 0))
                 changes[change.condition] = add | change.add, delete | change.delete
@@ -55,7 +55,7 @@ class DeadEnds:
                             self._leading[place, not add >> place & 1].append(way)
                 for condition, (add, delete) in changes.items():
                     self._rules_of[action].append(len(self._needs))
-                    self._rule(_literals(part.joined(condition)), _literals(Part(add, delete)))
+                    self._rule(_literals(part.joined(condition)), _literals(PartialState(add, delete)))
         for part in task.goal:
             self._rule(_literals(part), [_GOAL])
         read = [part for action in task.actions for part in action.conditions] + [
@@ -80,27 +80,27 @@ class DeadEnds:
     def __contains__(self, state: int) -> bool:
         return any(end.holds(state) for end in self.ends)
 
-    def is_forbidden(self, action: Action, state: int) -> bool:
+    def is_forbidden(self, action: PolicyAction, state: int) -> bool:
         """Return whether the action must not be used in the state."""
         return action in self.forbidden and any(part.holds(state) for part in self.forbidden[action])
 
-    def explained(self, state: int) -> Part | None:
+    def explained(self, state: int) -> PartialState | None:
         """Return a part with the state in it from which the goal cannot be reached even if nothing is undone; None if it may be."""
-        reached = self._reached(Part(state & self.read, ~state & self.read))
+        reached = self._reached(PartialState(state & self.read, ~state & self.read))
         if reached is None:
             return None
         return self._reason(reached, state)
 
-    def exactly(self, state: int) -> Part:
+    def exactly(self, state: int) -> PartialState:
         """Return the part that stands for the state, and for others that differ in nothing of importance."""
         true = state & self.read
-        return Part(true, ~state & self.read & ~self._excluded(true))
+        return PartialState(true, ~state & self.read & ~self._excluded(true))
 
     def _excluded(self, true: int) -> int:
         """Return the facts that cannot be true together with these."""
         return sum(group & ~true for group in self.task.groups if group & true)
 
-    def _reached(self, part: Part) -> bytearray | None:
+    def _reached(self, part: PartialState) -> bytearray | None:
         """Return which literals can be reached; None if the goal can."""
         left = [*map(len, self._needs)]
         reached = bytearray(self._count)
@@ -126,7 +126,7 @@ class DeadEnds:
                             waiting.append(literal)
         return reached
 
-    def _reason(self, reached: bytearray, state: int) -> Part:
+    def _reason(self, reached: bytearray, state: int) -> PartialState:
         """Return literals of the state that keep the goal from being reached: each rule for the goal misses one, and so on."""
         chosen, waiting = {_GOAL}, [_GOAL]
         count = 2 * len(self.task.facts) + 2
@@ -151,11 +151,11 @@ class DeadEnds:
                     true |= here
                 else:
                     false |= bit
-        return Part(true, false)
+        return PartialState(true, false)
 
     # --- what is forbidden because of it ---
 
-    def add(self, part: Part) -> None:
+    def add(self, part: PartialState) -> None:
         """Note a dead end, and forbid what leads to it."""
         self.ends.append(part)
         true, false = part
@@ -163,14 +163,14 @@ class DeadEnds:
             way for place in places(true | false) for way in self._leading[place, bool(false >> place & 1)]
         ):
             if not (add & false or delete & true or (condition.false | excluded) & true & ~add or condition.true & false & ~delete):
-                self.forbid(action, condition.joined(Part(true & ~add, false & ~delete)))
+                self.forbid(action, condition.joined(PartialState(true & ~add, false & ~delete)))
 
-    def allow(self, action: Action, part: Part) -> None:
+    def allow(self, action: PolicyAction, part: PartialState) -> None:
         """Take back that the action is forbidden in states of the part."""
         if part in self.forbidden[action]:
             self.forbidden[action].remove(part)
 
-    def forbid(self, action: Action, part: Part) -> None:
+    def forbid(self, action: PolicyAction, part: PartialState) -> None:
         """Forbid the action in states of the part, unless it is forbidden there already."""
         known = self.forbidden[action]
         if any(part.implies(other) for other in known):
@@ -180,12 +180,12 @@ class DeadEnds:
         self._count += 1
         self._needed_by.append([])
         self._made_by.append([])
-        for literal in _literals(Part(part.false, part.true)):
+        for literal in _literals(PartialState(part.false, part.true)):
             self._rule([literal], [escape])
         for rule in self._rules_of[action]:
             self._needs[rule].append(escape)
             self._needed_by[escape].append(rule)
 
 
-def _literals(part: Part) -> list[int]:
+def _literals(part: PartialState) -> list[int]:
     return [2 * place + 2 for place in places(part.true)] + [2 * place + 3 for place in places(part.false)]

@@ -19,7 +19,7 @@ from planner_bridge.model.forbidden_actions import guarded, unused_name
 from planner_bridge.model.plan import SpelledNames
 from planner_bridge.model.problem import Problem
 from planner_bridge.pddl.writer import write_domain, write_problem
-from planner_bridge.planning.policies.task import ANY, Action, Outcome, Part, Task, places
+from planner_bridge.planning.policies.task import ANY, PartialState, PolicyAction, PolicyOutcome, PolicyTask, places
 from pnm.core.logic.conditions import Holds, Not
 from pnm.core.logic.domain import Declaration
 from pnm.core.logic.expressions import fluent_text
@@ -27,7 +27,7 @@ from pnm.core.logic.expressions import fluent_text
 WAYS: Final = (("ff", 0.2), ("eager-lama", 1.0), ("auto", 5.0))
 """Ways of searching in Kairos, and the seconds that each gets; the last one, its own, also proves that there is no plan."""
 
-Step = tuple[Action, int]
+Step = tuple[PolicyAction, int]
 """An action, and the number of the outcome that is hoped for."""
 
 
@@ -35,10 +35,10 @@ class OutOfTime(Exception):
     """Kairos has found no plan, which proves nothing."""
 
 
-class Determinization:
+class OutcomePlanner:
     """What Kairos is asked for: a plan for the case that every outcome can be chosen. The domain's text is mutable state."""
 
-    def __init__(self, problem: Problem, task: Task) -> None:
+    def __init__(self, problem: Problem, task: PolicyTask) -> None:
         self._task, self._planner = task, kairos.Planner()  # type: ignore[no-untyped-call]
         self.calls = 0
         self._actions = {(action.name, action.arguments): action for action in task.actions}
@@ -63,7 +63,7 @@ class Determinization:
         self._copies: dict[str, Step] = {}
         self._guarding = ""
 
-    def plan(self, state: int, forbidden: Mapping[Action, Sequence[Part]], until: float) -> list[Step] | None:
+    def plan(self, state: int, forbidden: Mapping[PolicyAction, Sequence[PartialState]], until: float) -> list[Step] | None:
         """Return steps from the state to the goal; None if there are none.
 
         Raises:
@@ -99,7 +99,7 @@ class Determinization:
         action, number = self._of[spelled.action]
         return self._actions[action, spelled.arguments], number
 
-    def _domain_for(self, forbidden: Mapping[Action, tuple[Part, ...]]) -> kairos.Domain:
+    def _domain_for(self, forbidden: Mapping[PolicyAction, tuple[PartialState, ...]]) -> kairos.Domain:
         if self._parsed is not None and self._parsed[0] == forbidden:
             return self._parsed[1]
         concerned = sorted({action.name for action in forbidden})
@@ -129,20 +129,20 @@ class Determinization:
         self._parsed = forbidden, domain
         return domain
 
-    def _literals(self, part: Part) -> str:
+    def _literals(self, part: PartialState) -> str:
         return "".join(
             (*(self._text_of(place) for place in places(part.true)), *(f"(not {self._text_of(place)})" for place in places(part.false)))
         )
 
-    def _clauses(self, condition: Part, forbidden: Iterable[Part]) -> list[str]:
+    def _clauses(self, condition: PartialState, forbidden: Iterable[PartialState]) -> list[str]:
         """Return what rules the parts out where the condition holds; an empty one if nothing does."""
         parts = [part for part in forbidden if not (part.true & condition.false or part.false & condition.true)]
-        found = [self._literals(Part(part.false & ~condition.false, part.true & ~condition.true)) for part in parts]
+        found = [self._literals(PartialState(part.false & ~condition.false, part.true & ~condition.true)) for part in parts]
         return [text and f"(or {text})" for text in found]
 
-    def _effect(self, outcome: Outcome) -> str:
+    def _effect(self, outcome: PolicyOutcome) -> str:
         effects = []
         for condition, add, delete in outcome.changes:
-            changes = self._literals(Part(add, delete & ~add))
+            changes = self._literals(PartialState(add, delete & ~add))
             effects.append(changes if condition == ANY else f"(when (and {self._literals(condition)}) (and {changes}))")
         return f"(and {''.join(effects)})"

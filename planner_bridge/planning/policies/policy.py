@@ -16,11 +16,11 @@ from planner_bridge.model.grounding import ground_step, initial_knowledge, model
 from planner_bridge.model.plan import GAP, CancelToken, Plan, PlanStep
 from planner_bridge.model.problem import Problem
 from planner_bridge.planning.policies.chance import improve, take_chances
-from planner_bridge.planning.policies.course import MOST, Step, course
-from planner_bridge.planning.policies.encoding import Determinization
+from planner_bridge.planning.policies.encoding import OutcomePlanner
 from planner_bridge.planning.policies.proof import unproved
 from planner_bridge.planning.policies.search import Interrupted, Search
-from planner_bridge.planning.policies.task import Task, policy_task
+from planner_bridge.planning.policies.steps import MOST, Step, policy_steps, steps_dot
+from planner_bridge.planning.policies.task import PolicyTask, policy_task
 from pnm.core.knowledge_base import statement_text
 from pnm.core.logic.conditions import evaluate
 from pnm.core.logic.effects import changes
@@ -60,14 +60,14 @@ class Policy:
     """Of the goal, from the initial state."""
     is_proved: bool = False
     """Whether a check of the policy alone has shown that it reaches the goal if every outcome comes up sooner or later."""
-    course: Callable[[], list[Step]] = field(default=list, repr=False)
+    steps: Callable[[], list[Step]] = field(default=list, repr=False)
     """Returns which entries follow which."""
 
     def __repr__(self) -> str:
         return f"<Policy for {self.problem.name}: {len(self.entries)} entries, {self.claim}>"
 
     def __str__(self) -> str:
-        steps = self.course()
+        steps = self.steps()
         more = [f"  {len(steps) - MOST:8d} more"] if len(steps) > MOST else []
         expected = f", {steps[0].expected:.1f} calls expected" if steps else ""
         return "\n".join((f"{self.claim}{expected}", *(line for step in steps[:MOST] for line in step.lines()), *more))
@@ -78,6 +78,10 @@ class Policy:
         if self.is_proved:
             return "reaches the goal whatever the outcomes, if each comes up sooner or later (proved)"
         return f"reaches the goal with a chance of {self.chance:.1%}"
+
+    def dot(self) -> str:
+        """Return the picture for Graphviz."""
+        return steps_dot(self.steps())
 
     def as_json(self) -> dict[str, object]:
         """Return the claim and the entries as JSON has them."""
@@ -122,10 +126,10 @@ class Policy:
                 return None
             duration = modelled_duration(domain.actions[entry.action], entry.arguments, state)
             action = ground_step(domain, entry.action, entry.arguments, duration, "", self.problem.members)
-            begun = _After(state, changes(action.start_effects, state))
-            ways = [(way.name, _After(begun, changes(way.effects, begun))) for way in action.outcomes]
+            begun = _Changed(state, changes(action.start_effects, state))
+            ways = [(way.name, _Changed(begun, changes(way.effects, begun))) for way in action.outcomes]
             outcome, state = (
-                min(ways, key=lambda way: self._distance(way[1])) if ways else ("", _After(begun, changes(action.end_effects, begun)))
+                min(ways, key=lambda way: self._distance(way[1])) if ways else ("", _Changed(begun, changes(action.end_effects, begun)))
             )
             steps.append(PlanStep(entry.action, entry.arguments, now, duration or 0.0, outcome))
             now += GAP + (duration or 0.0) if is_timed else 1.0
@@ -157,7 +161,7 @@ class Policy:
 
 
 @dataclass(frozen=True, slots=True)
-class _After:
+class _Changed:
     """A state after changes."""
 
     before: State
@@ -261,9 +265,9 @@ def policies(problem: Problem, timeout: float, cancel: CancelToken | None = None
     return _better(problem, policy_task(problem), time.monotonic(), timeout, cancel)
 
 
-def _better(problem: Problem, task: Task, began: float, timeout: float, cancel: CancelToken | None) -> Iterator[Policy]:
+def _better(problem: Problem, task: PolicyTask, began: float, timeout: float, cancel: CancelToken | None) -> Iterator[Policy]:
     until = began + timeout
-    search = Search(task, Determinization(problem, task), began + timeout * _CERTAIN, cancel)
+    search = Search(task, OutcomePlanner(problem, task), began + timeout * _CERTAIN, cancel)
     with suppress(Interrupted):
         if search.run(task.initial):
             yield _policy(problem, search)
@@ -294,4 +298,4 @@ def _policy(problem: Problem, search: Search) -> Policy:
     )
     certain = [entry for entry in entries if entry.chance == 1.0]
     is_proved = not first.risk and not unproved(problem, certain, initial_knowledge(problem))
-    return Policy(problem, entries, 1.0 - first.risk, is_proved, partial(course, task, list(search.entries)))
+    return Policy(problem, entries, 1.0 - first.risk, is_proved, partial(policy_steps, task, list(search.entries)))

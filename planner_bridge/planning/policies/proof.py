@@ -26,7 +26,7 @@ from pnm.core.logic.effects import Effects, ForEach, OneOf, Set, When
 from pnm.core.logic.expressions import NOTHING, UNKNOWN, Environment, Fluent, State, Truth, Unknown, Value, bind, choices, value_of
 
 
-class Rule(Protocol):
+class PolicyRule(Protocol):
     """An entry of a policy."""
 
     @property
@@ -63,7 +63,7 @@ class _Known:
         return self.constant.objects(types)
 
 
-def unproved(problem: Problem, rules: Sequence[Rule], initial: State) -> str:
+def unproved(problem: Problem, rules: Sequence[PolicyRule], initial: State) -> str:
     """Return what cannot be proved of the policy in the initial state, with the entry; empty if it reaches the goal."""
     changing, index = dynamic_names(problem), _Index(rules)
     facts = {fluent: bool(initial.value(fluent)) for fluent in index.mentioned}
@@ -130,7 +130,7 @@ def _changes(effects: Effects, state: State, env: Environment, truth: Truth) -> 
 class _Index:
     """The entries, each found by the fact that the fewest others name."""
 
-    def __init__(self, rules: Iterable[Rule]) -> None:
+    def __init__(self, rules: Iterable[PolicyRule]) -> None:
         count = Counter(fact for rule in rules for fact in rule.facts.items())
         self.mentioned = dict.fromkeys(fluent for fluent, _ in count)
         self._always = min((rule.expected for rule in rules if not rule.facts), default=inf)

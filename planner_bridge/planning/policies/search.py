@@ -23,9 +23,9 @@ from math import inf
 from typing import Final, NamedTuple
 
 from planner_bridge.model.plan import CancelToken
-from planner_bridge.planning.policies.dead_ends import DeadEnds
-from planner_bridge.planning.policies.encoding import Determinization, OutOfTime, Step
-from planner_bridge.planning.policies.task import ANY, Action, Outcome, Part, Task
+from planner_bridge.planning.policies.dead_ends import DeadStates
+from planner_bridge.planning.policies.encoding import OutcomePlanner, OutOfTime, Step
+from planner_bridge.planning.policies.task import ANY, PartialState, PolicyAction, PolicyOutcome, PolicyTask
 
 _EXACT: Final = 1e-6
 _CLOSE: Final = 1e-3
@@ -33,7 +33,7 @@ SAME: Final = 1e-6
 """Risks that differ by less are the same."""
 
 
-class Entry(NamedTuple):
+class SettledPart(NamedTuple):
     """An entry of a policy: how good it is, what has to hold, what to do. Better ones are less."""
 
     risk: float
@@ -42,17 +42,17 @@ class Entry(NamedTuple):
     """Actions that are expected from there on."""
     distance: float
     """Actions until the goal, with luck."""
-    need: Part
+    need: PartialState
     number: int
     """In the order in which they were found, so that entries can be sorted."""
-    action: Action | None
+    action: PolicyAction | None
     """None at the goal."""
 
 
-class Best(NamedTuple):
+class BestWays(NamedTuple):
     """What is best in states all ways of which were looked at: the action, the risk, and the expected actions."""
 
-    choice: Mapping[int, Action]
+    choice: Mapping[int, PolicyAction]
     risks: Mapping[int, float]
     costs: Mapping[int, float]
 
@@ -62,7 +62,7 @@ class _Frame:
     """A state on the way of the walk, and its successors that are still to be looked at."""
 
     state: int
-    action: Action
+    action: PolicyAction
     successors: Iterator[int]
     low: int = 0
 
@@ -74,24 +74,24 @@ class Interrupted(Exception):
 class Search:
     """The search for a strong cyclic policy: entries, dead ends and plans so far are mutable state."""
 
-    def __init__(self, task: Task, kairos: Determinization, until: float = inf, cancel: CancelToken | None = None) -> None:
+    def __init__(self, task: PolicyTask, kairos: OutcomePlanner, until: float = inf, cancel: CancelToken | None = None) -> None:
         self.task, self.kairos, self.until, self._cancel = task, kairos, until, cancel
-        self.dead = DeadEnds(task)
-        self.entries: list[Entry] = []
+        self.dead = DeadStates(task)
+        self.entries: list[SettledPart] = []
         """The best ones first."""
-        self._best = Best({}, {}, {})
+        self._best = BestWays({}, {}, {})
         self._lost = frozenset[int]()
         """States that are given up."""
-        self._plans: list[tuple[int, int, Part, Action]] = []
+        self._plans: list[tuple[int, int, PartialState, PolicyAction]] = []
         """What has to hold before the steps of plans, and these, the nearest to the goal first."""
-        self._kept = set[tuple[Part, Action]]()
+        self._kept = set[tuple[PartialState, PolicyAction]]()
         self._looked_at = set[int]()
         """States of which is known whether they are dead ends even if nothing is undone."""
-        self._chosen: dict[int, Action] = {}
+        self._chosen: dict[int, PolicyAction] = {}
         """Actions for single states, which come before those of plans."""
         self._doomed = set[int]()
         """States without a plan, even if some relaxation has one."""
-        self._forbidden_here: dict[int, list[tuple[Action, Part]]] = defaultdict(list)
+        self._forbidden_here: dict[int, list[tuple[PolicyAction, PartialState]]] = defaultdict(list)
         self._avoided = set[int]()
         """States in which plans for others led in a circle."""
 
@@ -99,17 +99,17 @@ class Search:
         """Return whether it is this time, on the clock of `time.monotonic`, or the search was cancelled."""
         return time.monotonic() > until or (self._cancel is not None and self._cancel.is_set())
 
-    def settled(self, state: int) -> Entry | None:
+    def settled(self, state: int) -> SettledPart | None:
         """Return the entry for the state; None if there is none yet."""
         if part := self.task.goal_in(state):
-            return Entry(0.0, 0.0, 0.0, part, 0, None)
+            return SettledPart(0.0, 0.0, 0.0, part, 0, None)
         if state in self._lost:
-            return Entry(1.0, 0.0, inf, ANY, 0, None)
+            return SettledPart(1.0, 0.0, inf, ANY, 0, None)
         return next((entry for entry in self.entries if not (entry[3][0] & ~state or entry[3][1] & state)), None)
 
-    def follow(self, best: Best, state: int) -> None:
+    def follow(self, best: BestWays, state: int) -> None:
         """Make entries of what is best for all states that can be reached from this one, instead of plans of their own."""
-        self.dead, self._chosen, self._best = DeadEnds(self.task), dict(best.choice), best
+        self.dead, self._chosen, self._best = DeadStates(self.task), dict(best.choice), best
         self._lost = frozenset(one for one, risk in best.risks.items() if risk >= 1.0 - SAME)
         self._doomed.clear()
         self._forbidden_here.clear()
@@ -179,7 +179,7 @@ class Search:
 
     # --- an action for a state ---
 
-    def _action(self, state: int) -> Action | None:
+    def _action(self, state: int) -> PolicyAction | None:
         """Return an action for a state that is not settled; None if it is a dead end, which is noted."""
         while state not in self.dead and state not in self._doomed:
             action = self._known(state)
@@ -203,13 +203,13 @@ class Search:
             self.dead.allow(action, part)
         return None
 
-    def _forbid_here(self, action: Action, state: int) -> None:
+    def _forbid_here(self, action: PolicyAction, state: int) -> None:
         """Forbid an action in this very state, as long as that is no dead end itself."""
         part = self.dead.exactly(state)
         self.dead.forbid(action, part)
         self._forbidden_here[state].append((action, part))
 
-    def _known(self, state: int) -> Action | None:
+    def _known(self, state: int) -> PolicyAction | None:
         chosen = self._chosen.get(state)
         if chosen is not None and not self.dead.is_forbidden(chosen, state):
             return chosen
@@ -269,9 +269,9 @@ class Search:
         actions = {state: self._chosen[state] for state in component}
         if any(self.dead.is_forbidden(action, state) for state, action in actions.items()):
             return False
-        before: dict[int, list[tuple[int, Outcome]]] = defaultdict(list)
+        before: dict[int, list[tuple[int, PolicyOutcome]]] = defaultdict(list)
         """For each state of the component, how others in it lead there."""
-        ends: dict[int, list[tuple[Outcome, Entry]]] = defaultdict(list)
+        ends: dict[int, list[tuple[PolicyOutcome, SettledPart]]] = defaultdict(list)
         for state, action in actions.items():
             for outcome in action.outcomes:
                 after = outcome.after(state)
@@ -294,7 +294,7 @@ class Search:
             for state in component:
                 del self._chosen[state]
             return False
-        needs: dict[int, Part] = {}
+        needs: dict[int, PartialState] = {}
         for state, action in actions.items():
             need = action.condition_in(state)
             assert need is not None, f"{action} can be used"
@@ -321,7 +321,7 @@ class Search:
         for values in (risk, expected):
             _solve(rows, values)
         for state in component:
-            entry = Entry(round(risk[state], 6), expected[state], distance[state], needs[state], len(self.entries), actions[state])
+            entry = SettledPart(round(risk[state], 6), expected[state], distance[state], needs[state], len(self.entries), actions[state])
             if not any(entry.need.implies(other.need) for other in self.entries if other[:2] <= entry[:2]):
                 insort(self.entries, entry)
         return True

@@ -31,7 +31,7 @@ class Unsuitable(PnmError):
     """The problem has something that policies know nothing of."""
 
 
-class Part(NamedTuple):
+class PartialState(NamedTuple):
     """A partial state: the facts that are true in it, and those that are false; others may be either."""
 
     true: int = 0
@@ -41,13 +41,13 @@ class Part(NamedTuple):
         """Whether the state is one of those that it stands for."""
         return state & self.true == self.true and not state & self.false
 
-    def implies(self, other: Part) -> bool:
+    def implies(self, other: PartialState) -> bool:
         """Whether all states that it stands for are among those of the other."""
         return not (other.true & ~self.true or other.false & ~self.false)
 
-    def joined(self, other: Part) -> Part:
+    def joined(self, other: PartialState) -> PartialState:
         """What both say; check `is_possible`."""
-        return Part(self.true | other.true, self.false | other.false)
+        return PartialState(self.true | other.true, self.false | other.false)
 
     @property
     def is_possible(self) -> bool:
@@ -55,7 +55,7 @@ class Part(NamedTuple):
         return not self.true & self.false
 
 
-ANY: Final = Part()
+ANY: Final = PartialState()
 """Every state."""
 
 
@@ -70,18 +70,18 @@ def places(bits: int) -> Iterator[int]:
 class Change(NamedTuple):
     """Facts that become true and facts that become false, in states for which the condition holds; what is both is true."""
 
-    condition: Part
+    condition: PartialState
     add: int
     delete: int
 
-    def before(self, after: Part) -> Part | None:
+    def before(self, after: PartialState) -> PartialState | None:
         """Return what has to hold before the change, its condition aside, so that this holds after it; None if it cannot."""
         if self.add & after.false or self.delete & ~self.add & after.true:
             return None
-        return Part(after.true & ~self.add, after.false & ~self.delete)
+        return PartialState(after.true & ~self.add, after.false & ~self.delete)
 
 
-class Outcome(NamedTuple):
+class PolicyOutcome(NamedTuple):
     """A way in which an action may turn out, with its chance."""
 
     name: str
@@ -97,7 +97,7 @@ class Outcome(NamedTuple):
                 delete |= deletes
         return state & ~delete | add
 
-    def before(self, after: Part, state: int) -> Part:
+    def before(self, after: PartialState, state: int) -> PartialState:
         """Return what has to hold before, with the same changes as in this state, which leads to what has to hold after it."""
         before, add, delete = ANY, 0, 0
         for change in self.changes:
@@ -106,20 +106,20 @@ class Outcome(NamedTuple):
         for condition, adds, deletes in self.changes:
             if (deletes & after.true & ~add or adds & after.false) and not condition.holds(state):
                 missing, present = condition.true & ~state, condition.false & state  # one fact is enough for it not to happen
-                before = before.joined(Part(0, missing & -missing) if missing else Part(present & -present, 0))
-        return before.joined(Part(after.true & ~add, after.false & ~delete))
+                before = before.joined(PartialState(0, missing & -missing) if missing else PartialState(present & -present, 0))
+        return before.joined(PartialState(after.true & ~add, after.false & ~delete))
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class Action:
+class PolicyAction:
     """A ground action: in which states it can be used, each part on its own, and its outcomes, whose chances sum to 1."""
 
     name: str
     arguments: tuple[str, ...]
-    conditions: tuple[Part, ...]
-    outcomes: tuple[Outcome, ...]
+    conditions: tuple[PartialState, ...]
+    outcomes: tuple[PolicyOutcome, ...]
 
-    def condition_in(self, state: int) -> Part | None:
+    def condition_in(self, state: int) -> PartialState | None:
         """Return the part of the condition that holds in the state; None if the action cannot be used there."""
         return next((part for part in self.conditions if part.holds(state)), None)
 
@@ -128,17 +128,17 @@ class Action:
 
 
 @dataclass(frozen=True)
-class Task:
+class PolicyTask:
     """Facts, the initial state, the parts of the goal, each of which is enough, and the ground actions that may ever be used."""
 
     facts: tuple[Fluent, ...]
     initial: int
-    goal: tuple[Part, ...]
-    actions: tuple[Action, ...]
+    goal: tuple[PartialState, ...]
+    actions: tuple[PolicyAction, ...]
     alternatives: Mapping[str, tuple[Alternative, ...]]
     """The outcomes of every action, before it is ground."""
 
-    def goal_in(self, state: int) -> Part | None:
+    def goal_in(self, state: int) -> PartialState | None:
         """Return the part of the goal that holds in the state."""
         return next((part for part in self.goal if part.holds(state)), None)
 
@@ -146,7 +146,7 @@ class Task:
         """Return the facts of these bits."""
         return [self.facts[number] for number in places(bits)]
 
-    def usable(self, state: int) -> Iterator[Action]:
+    def usable(self, state: int) -> Iterator[PolicyAction]:
         """Yield the actions that can be used in the state."""
         for place in (-1, *places(state)):
             for part, action in self._by_fact.get(place, ()):
@@ -154,10 +154,10 @@ class Task:
                     yield action
 
     @cached_property
-    def _by_fact(self) -> dict[int, list[tuple[Part, Action]]]:
+    def _by_fact(self) -> dict[int, list[tuple[PartialState, PolicyAction]]]:
         """Return the actions by one of the facts that they need, that which the fewest of them do; -1 if they need none."""
         counts = Counter(place for action in self.actions for part in action.conditions for place in places(part.true))
-        found: dict[int, list[tuple[Part, Action]]] = defaultdict(list)
+        found: dict[int, list[tuple[PartialState, PolicyAction]]] = defaultdict(list)
         for action in self.actions:
             for part in action.conditions:
                 found[min(places(part.true), key=counts.__getitem__, default=-1)].append((part, action))
@@ -190,7 +190,7 @@ class Task:
         return tuple(found.values())
 
 
-def policy_task(problem: Problem) -> Task:
+def policy_task(problem: Problem) -> PolicyTask:
     """Return the task of the problem; raise `Unsuitable` if it has more than facts that only actions change, or is too large."""
     return _Grounding(problem).task()
 
@@ -226,12 +226,12 @@ class _Grounding:
             for variable in schema.parameters
         }
 
-    def task(self) -> Task:
+    def task(self) -> PolicyTask:
         alternatives = {name: outcomes(schema.end_effects, self.state) for name, schema in self.problem.domain.actions.items()}
         goal = self.parts(self.problem.goal)
         initial = sum(self.bit(fact) for fact, value in self.problem.init.items() if value is True and fact[0] in self.changing)
         actions = list(self.actions(alternatives, initial))
-        return Task(tuple(self.facts), initial, goal, tuple(actions), alternatives)
+        return PolicyTask(tuple(self.facts), initial, goal, tuple(actions), alternatives)
 
     def bit(self, fact: Fluent) -> int:
         if fact not in self.bits:
@@ -239,26 +239,26 @@ class _Grounding:
             self.facts.append(fact)
         return self.bits[fact]
 
-    def parts(self, condition: Condition, env: Environment = NOTHING, truth: bool = True) -> tuple[Part, ...]:
+    def parts(self, condition: Condition, env: Environment = NOTHING, truth: bool = True) -> tuple[PartialState, ...]:
         """Return the parts of the condition, or of its opposite: each is enough."""
         match condition:
             case Holds(fluent) if fluent[0] in self.changing:
                 bit = self.bit(bind(fluent, env))
-                return (Part(bit, 0) if truth else Part(0, bit),)
+                return (PartialState(bit, 0) if truth else PartialState(0, bit),)
             case Holds() | Compare():
                 return (ANY,) if evaluate(condition, self.state, env) is truth else ()
         inner, is_every = parts_of(condition, self.state, env, truth)
         alternatives = [self.parts(*part) for part in inner]
         if not is_every:
             return tuple(dict.fromkeys(part for one in alternatives for part in one))
-        found: tuple[Part, ...] = (ANY,)
+        found: tuple[PartialState, ...] = (ANY,)
         for more in alternatives:
             found = tuple(dict.fromkeys(both for part, other in product(found, more) if (both := part.joined(other)).is_possible))
             if len(found) > _MOST_PARTS:
                 raise Unsuitable(f"no policy is looked for: {condition} has too many alternatives")
         return found
 
-    def changes(self, effects: Effects, env: Environment, condition: Part = ANY) -> Iterator[Change]:
+    def changes(self, effects: Effects, env: Environment, condition: PartialState = ANY) -> Iterator[Change]:
         for effect in effects:
             match effect:
                 case Set(fluent, Constant(bool() as value)):
@@ -278,7 +278,7 @@ class _Grounding:
                 case _:
                     assert_never(effect)
 
-    def actions(self, alternatives: Mapping[str, tuple[Alternative, ...]], initial: int) -> Iterator[Action]:
+    def actions(self, alternatives: Mapping[str, tuple[Alternative, ...]], initial: int) -> Iterator[PolicyAction]:
         """Yield the ground actions that may be used once, if nothing is ever undone."""
         instances = _Instances(self, initial)
         for schema, env in instances:
@@ -294,7 +294,7 @@ class _Grounding:
                 continue
             ways = alternatives[schema.name]
             found = tuple(
-                Outcome(
+                PolicyOutcome(
                     way.name,
                     1.0 / len(ways) if way.chance is None else way.chance,
                     _merged(self.composed(begun, self.changes(way.effects, env))),
@@ -304,7 +304,7 @@ class _Grounding:
             for change in (change for outcome in found for change in outcome.changes):
                 instances.reach(change.add)
             if any(outcome.changes for outcome in found):
-                yield Action(schema.name, tuple(str(env[variable.name]) for variable in schema.parameters), conditions, found)
+                yield PolicyAction(schema.name, tuple(str(env[variable.name]) for variable in schema.parameters), conditions, found)
 
     def composed(self, begun: Change, ended: Iterable[Change]) -> Iterator[Change]:
         """Yield the changes of a whole action: what its start has changed, and its end did not change back."""
@@ -325,7 +325,7 @@ class _Grounding:
 
 def _merged(changes: Iterable[Change]) -> tuple[Change, ...]:
     """Return the changes, those of the same condition as one."""
-    found: dict[Part, tuple[int, int]] = {}
+    found: dict[PartialState, tuple[int, int]] = {}
     for condition, add, delete in changes:
         before = found.get(condition, (0, 0))
         found[condition] = before[0] | add, before[1] | delete

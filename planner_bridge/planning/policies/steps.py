@@ -1,4 +1,4 @@
-"""The course of a policy: which entries follow which, by the outcomes of their actions, as text and as a picture for Graphviz."""
+"""The steps of a policy: which entries follow which, by the outcomes of their actions, as text and as a picture for Graphviz."""
 
 from __future__ import annotations
 
@@ -6,8 +6,8 @@ import json
 from collections.abc import Iterator
 from typing import Final, NamedTuple
 
-from planner_bridge.planning.policies.search import Entry
-from planner_bridge.planning.policies.task import Action, Task
+from planner_bridge.planning.policies.search import SettledPart
+from planner_bridge.planning.policies.task import PolicyAction, PolicyTask
 
 MOST: Final = 200
 """Entries that are told; others are counted."""
@@ -28,7 +28,7 @@ class Step(NamedTuple):
     """An entry of the policy on its way from the initial state, with a number from 1 on."""
 
     number: int
-    action: Action
+    action: PolicyAction
     expected: float
     branches: tuple[Branch, ...]
 
@@ -41,11 +41,11 @@ class Step(NamedTuple):
             yield from (f"                 {one.outcome} ({one.chance:.0%}) -> {_words(one.then)}" for one in self.branches)
 
 
-def course(task: Task, entries: list[Entry]) -> list[Step]:
+def policy_steps(task: PolicyTask, entries: list[SettledPart]) -> list[Step]:
     """Return the steps that may be taken from the initial state on, each once, the nearest to the goal first at every branch."""
     numbers: dict[int, int] = {}
     follow: dict[int, list[dict[int, None]]] = {}
-    waiting, seen, found = [task.initial], {task.initial}, dict[int, Entry]()
+    waiting, seen, found = [task.initial], {task.initial}, dict[int, SettledPart]()
 
     def place(state: int) -> int:
         if task.goal_in(state):
@@ -86,7 +86,7 @@ def _words(then: tuple[int, ...]) -> str:
     return " or ".join({GOAL: "the goal", NO_WAY_OUT: "no way out"}.get(number, str(number)) for number in then) or "?"
 
 
-def course_dot(steps: list[Step]) -> str:
+def steps_dot(steps: list[Step]) -> str:
     """Return the picture of a policy for Graphviz: a box for every step, an arrow for every outcome."""
     lines = ["digraph policy {", '  rankdir=LR; node [shape=box, style=rounded, fontname="sans-serif", fontsize=11];']
     lines += ['  edge [fontname="sans-serif", fontsize=9]; 0 [label="goal", shape=doublecircle]; "-1" [label="no way out", color=red];']
