@@ -14,8 +14,7 @@ from planner_bridge.pddl.reader import MAX_BYTES, comments
 from planner_bridge.pddl.writer import write_domain as domain_text, write_problem as problem_text
 from planner_bridge.planning.solve import solve
 from planner_bridge.yaml.reader import read
-from planner_bridge.yaml.write_plan import plan_entries
-from planner_bridge.yaml.writer import write_bindings, write_domain, write_problem
+from planner_bridge.yaml.writer import plan_entries, write_bindings, write_domain, write_problem
 from pnm.core.logic.domain import ProblemModel
 from pnm.core.machine.bindings import NO_BINDINGS, Bindings
 from pnm.core.message_fields import Combined, Test

@@ -10,8 +10,7 @@ from hypothesis import given, strategies as st
 
 from planner_bridge.model.plan import Plan, PlanStep
 from planner_bridge.ordering.plan_to_graph import plan_graph
-from planner_bridge.yaml.write_plan import Block, Mesh, Parallel, Series, blocks, plan_entries
-from planner_bridge.yaml.writer import write_problem, written
+from planner_bridge.yaml.writer import Block, Mesh, Parallel, Series, blocks, plan_entries, write_problem, written
 from pnm.core.machine.plan_graph import ActionCall, Junction, Moment, Ordering, PlanEvent, PlanGraph
 from pnm.core.net.orders import reduced
 from pnm.language.plan import read_plans
