@@ -283,7 +283,7 @@ def _compared(problem: Problem, asked: Forced, plan: Plan, its: Plan, now: tuple
     unit = "s" if plan.temporal else "calls"
     if problem.metric and problem.metric.expression != ValueOf(TOTAL_TIME):
         unit = "of the metric"
-    gap = (worth - its_worth) if problem.metric and problem.metric.direction == "maximize" else its_worth - worth
+    gap = problem.sign * (its_worth - worth)
     by, shown = f"{round(gap, 2):g} {unit}", f"{round(its_worth, 2):g} against {round(worth, 2):g} {unit}"
     if abs(gap) <= DURATION_TOLERANCE:
         return Answer(f"a plan that uses {action} is as good: {shown}", Known.PLAN, now, claims)

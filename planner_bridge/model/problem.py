@@ -99,6 +99,11 @@ class Problem(ProblemModel):
             yield str(constraint), sum(choices_in(condition, self.count, around) for condition in constraint.conditions)
 
     @property
+    def sign(self) -> float:
+        """The factor with which less of the metric is better: -1 where it is maximized."""
+        return -1.0 if self.metric and self.metric.direction == "maximize" else 1.0
+
+    @property
     def has_preferences(self) -> bool:
         """Whether there are preferences: here, in the domain, or in an action."""
         return bool(self.preferences or self.domain.preferences or any(schema.preferences for schema in self.domain.actions.values()))

@@ -267,7 +267,6 @@ class _Best:
         return report.valid and self._keep(replace(plan, cost=report.metric) if _has_cost(self._problem) else plan)
 
     def _keep(self, plan: Plan) -> bool:
-        metric = self._problem.metric
         if self._counts:
             from planner_bridge.ordering.robot_time import robot_time
 
@@ -276,7 +275,7 @@ class _Best:
             value: tuple[float, ...] = (time, self._work(plan.steps))
             plan = replace(plan, seconds=time)
         elif plan.cost is not None:
-            value = (-plan.cost if metric and metric.direction == "maximize" else plan.cost,)
+            value = (self._problem.sign * plan.cost,)
         else:
             value = (plan.makespan if plan.temporal else float(len(plan.steps)),)
         if value < self._value:
@@ -303,8 +302,7 @@ class _Best:
             old: the steps of the part so far.
             reached: the metric's value after them; None without one.
         """
-        sign = -1.0 if part.metric is not None and part.metric.direction == "maximize" else 1.0
-        limit = self._work(old) if reached is None else sign * reached
+        limit = self._work(old) if reached is None else part.sign * reached
         if self._counts:
             from planner_bridge.ordering.robot_time import priced
 
@@ -320,7 +318,7 @@ class _Best:
             found = search.next_plan(_PART / 10.0)
             if found is not None:
                 better = _plan(found, part)
-                if (self._work(better.steps) if reached is None else sign * found.cost) < limit:
+                if (self._work(better.steps) if reached is None else part.sign * found.cost) < limit:
                     search.stop()
                     return better
         search.stop()

@@ -301,9 +301,7 @@ class _Elimination:
                     return
                 del left[error.step]
             else:
-                rises = 0.0 if cost is None or self._plan.cost is None else cost - self._plan.cost
-                is_worse = rises < 0.0 if self._problem.metric and self._problem.metric.direction == "maximize" else rises > 0.0
-                if not is_worse:
+                if cost is None or self._plan.cost is None or self._problem.sign * (cost - self._plan.cost) <= 0.0:
                     self._plan, self._lost = replace(shorter, cost=cost), frozenset(range(len(self._first.steps))).difference(left)
                 return
 
