@@ -27,8 +27,7 @@ from planner_bridge.ordering.interference import (
     with_forecasts,
 )
 from planner_bridge.ordering.robot_time import ExpectedTimes
-from planner_bridge.planning.improvement import WORTH_IT, Improvement, can_be_improved, improvement
-from planner_bridge.planning.solve import solve
+from planner_bridge.planning.solve import WORTH_IT, Improvement, can_be_improved, improvement, solve
 from planner_bridge.tasks.constraint_monitor import TaskMonitor
 from planner_bridge.tasks.context import Conflict, TaskContext
 from planner_bridge.tasks.control import TaskEnded
@@ -158,14 +157,35 @@ class PlanSearch:
 
     def improve(self, execution: PlanExecution, history: History) -> None:
         """Look for a better rest of the plan while it is carried out, unless that has begun."""
-        plan, settings, problem = execution.run.machine.plan, self._context.settings, self._context.problem
+        plan, context, settings = execution.run.machine.plan, self._context, self._context.settings
         if self._improving and self._improving[0] is plan:
             return
         self.end_improving()
         is_wanted = not is_virtual() if settings.improve is None else settings.improve > 0.0
-        if is_wanted and can_be_improved(problem, settings.planner) and not self._is_best:
-            stop = threading.Event()
-            self._improving = plan, asyncio.ensure_future(self._keep_improving(execution, history, stop)), stop
+        if self._is_best or not (is_wanted and can_be_improved(context.problem, settings.planner)):
+            return
+        stop, rates = threading.Event(), ExpectedTimes(settings.bindings, settings.learned)
+        token = _EitherToken(self._control.planner_stop, stop)
+        find = partial(solve, timeout=settings.planner_timeout, cancel=token, bindings=settings.bindings, learned=settings.learned)
+
+        async def keep_improving() -> None:
+            """Look again whenever half of the rest is over; attention is called for when there is a better one."""
+            left = 2.0 * WORTH_IT
+            with suppress(TaskEnded):
+                while left >= WORTH_IT:
+                    await self._control.unpaused()
+                    async with context.scheduler.thinking:
+                        with suppress(NotProjectable):
+                            state = projected_state(context.world, (execution.run,), context.scheduler.runs())
+                            now, progress = forbid(self._monitor.now(state), context.forbidden(history)), execution.progress
+                            under_way = execution.left(progress, rates.expected)
+                            told = (now, under_way, progress.plan.calls, progress.to_begin, rates, settings.improve, find)
+                            left, self._better = await in_own_thread(partial(improvement, *told))
+                    if self._better is not None:
+                        execution.call_attention_at(asyncio.get_running_loop().time())
+                    await asyncio.sleep(left / 2.0)
+
+        self._improving = plan, asyncio.ensure_future(keep_improving()), stop
 
     def better_than(self, progress: Progress) -> Improvement | None:
         """Return a better rest of the plan that has been found, if nothing has begun of what it replaces."""
@@ -189,25 +209,6 @@ class PlanSearch:
             stop.set()
             task.cancel()
             self._improving = None
-
-    async def _keep_improving(self, execution: PlanExecution, history: History, stop: threading.Event) -> None:
-        """Look for a better rest of the plan, and again whenever half of it is over; attention is called for when there is one."""
-        context, settings, left = self._context, self._context.settings, 2.0 * WORTH_IT
-        rates, token = ExpectedTimes(settings.bindings, settings.learned), _EitherToken(self._control.planner_stop, stop)
-        find = partial(solve, timeout=settings.planner_timeout, cancel=token, bindings=settings.bindings, learned=settings.learned)
-        with suppress(TaskEnded):
-            while left >= WORTH_IT:
-                await self._control.unpaused()
-                async with context.scheduler.thinking:
-                    with suppress(NotProjectable):
-                        state = projected_state(context.world, (execution.run,), context.scheduler.runs())
-                        now, progress = forbid(self._monitor.now(state), context.forbidden(history)), execution.progress
-                        under_way, calls = execution.left(progress, rates.expected), progress.plan.calls
-                        told = (now, under_way, calls, progress.to_begin, rates, settings.improve, find)
-                        left, self._better = await in_own_thread(partial(improvement, *told))
-                if self._better is not None:
-                    execution.call_attention_at(asyncio.get_running_loop().time())
-                await asyncio.sleep(left / 2.0)
 
     async def in_turn(self, attempt: Attempt[P]) -> P:
         """Repeat an attempt whenever it is the turn of this task, until it finds a plan; tasks of lower priority are preempted.

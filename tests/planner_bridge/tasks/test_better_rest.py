@@ -17,8 +17,7 @@ from planner_bridge.model.plan import Plan, PlanningResult, PlanningStatus, Plan
 from planner_bridge.model.problem import Metric, Problem
 from planner_bridge.ordering.plan_to_graph import plan_graph
 from planner_bridge.ordering.robot_time import ExpectedTimes
-from planner_bridge.planning.improvement import EXCHANGE, WORTH_IT, Improvement, improvement, steps_of
-from planner_bridge.planning.solve import solve
+from planner_bridge.planning.solve import EXCHANGE, WORTH_IT, Improvement, improvement, solve, steps_of
 from planner_bridge.tasks import plan_search
 from planner_bridge.tasks.replanning import BetterRest, PlanAgain, ResumePlan, decision_words
 from planner_bridge.tasks.result import TaskResult
