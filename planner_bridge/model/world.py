@@ -18,7 +18,7 @@ from pnm.actions.simulated_robots import SimulatedRobots, SimulatedWorld
 from pnm.core.logic.computed_values import fluents_in
 from pnm.core.logic.conditions import Compare, Computed, Condition, Holds, every_part
 from pnm.core.logic.domain import Declaration, Vocabulary
-from pnm.core.logic.effects import Effects, Set, When, every_effect, names_written
+from pnm.core.logic.effects import Set, When, every_effect, names_written
 from pnm.core.logic.expressions import DURATION, UNDEFINED, Constant, Fluent, Value, Variable, expression_fluents
 from pnm.core.logic.rules import Rules
 from pnm.core.machine.bindings import Bindings
@@ -122,7 +122,15 @@ def _uses(plan: HandWrittenPlan) -> Iterator[Use]:
         action = call.action
         for condition in (action.precondition, action.invariant, action.end_condition, action.expected):
             yield from _in_condition(condition)
-        yield from _in_effects((*action.start_effects, *action.end_effects))
+        for effect in every_effect((*action.start_effects, *action.end_effects)):
+            match effect:
+                case Set(fluent, value):
+                    yield fluent, value.value if isinstance(value, Constant) else 0.0
+                    yield from ((read, 0.0) for read in expression_fluents(value))
+                case When(condition):
+                    yield from _in_condition(condition)
+                case _:
+                    pass
         yield (action.name, *action.arguments), None
     for step in plan.graph.every_step:
         if isinstance(step, Conditional):
@@ -145,18 +153,6 @@ def _in_condition(condition: Condition) -> Iterator[Use]:
                 yield from ((fluent, kind) for side in (left, right) for fluent in expression_fluents(side))
             case Computed(data):
                 yield from ((fluent, None) for fluent in fluents_in(data))
-            case _:
-                pass
-
-
-def _in_effects(effects: Effects) -> Iterator[Use]:
-    for effect in every_effect(effects):
-        match effect:
-            case Set(fluent, value):
-                yield fluent, value.value if isinstance(value, Constant) else 0.0
-                yield from ((read, 0.0) for read in expression_fluents(value))
-            case When(condition):
-                yield from _in_condition(condition)
             case _:
                 pass
 

@@ -122,7 +122,13 @@ class SharedWorld:
             return [(fluent_text(fluent), _value_text(value)) for fluent, value in self._knowledge.facts().items()]
         state, answers = TimedState.begin(self._knowledge), []
         for index, text in enumerate(questions):
-            answers.append((text, _value_text(self._answer(_single(text, f"questions[{index}]"), state))))
+            node = _single(text, f"questions[{index}]")
+            if (function := self._scope.symbols.find_function(node)) is None:
+                value: Value | Unknown = evaluate(self._checked(node), state)
+            else:
+                known = state.value(self._scope.function(node))
+                value = (UNDEFINED if function.values else UNKNOWN) if known is None else known
+            answers.append((text, _value_text(value)))
             state.check()
         return answers
 
@@ -228,14 +234,6 @@ class SharedWorld:
 
     def _condition(self, text: str, origin: str) -> Condition:
         return self._checked(_single(text, origin), MAX_GOAL_CHOICES)
-
-    def _answer(self, node: Node, state: State) -> Value | Unknown:
-        """Return whether a condition holds, or the value of a function."""
-        declared = self._scope.symbols.find_function(node)
-        if declared is None:
-            return evaluate(self._checked(node), state)
-        value = state.value(self._scope.function(node))
-        return (UNDEFINED if declared.values else UNKNOWN) if value is None else value
 
     def _checked(self, node: Node, limit: int = MAX_CHOICES) -> Condition:
         checked = condition(node, self._scope)

@@ -178,9 +178,14 @@ def _problem(definition: Definition, domain: Domain, warnings: tuple[Tolerated, 
     network = "\n".join(_verbatim_sections(definition, NETWORK, needed))
     init, timed = initial_state(definition.parts(":init"), TermScope(symbols))
     goal_section, metric_section = definition.one(":goal"), definition.one(":metric")
-    if goal_section is None and not definition.every(*NETWORK):
+    goal: Condition = TRUE
+    goals: tuple[Preference, ...] = ()
+    if goal_section is not None:
+        if len(goal_section.rest) != 1:
+            raise wrong(goal_section, f"expected (:goal CONDITION), found {len(goal_section.rest)} conditions")
+        goal, goals = split_preferences(goal_section.rest[0], TermScope(symbols))
+    elif not definition.every(*NETWORK):
         Leniency.NO_GOAL.note(definition.whole)
-    goal, goals = _goal(goal_section, TermScope(symbols)) if goal_section else (TRUE, ())
     hard, soft = constraints(definition.parts(":constraints"), TermScope(symbols))
     metric = _metric(metric_section, TermScope(symbols, metric=True)) if metric_section else None
     problem = Problem(
@@ -215,12 +220,6 @@ def _check_domain_name(definition: Definition, domain: Domain) -> None:
             Leniency.NO_DOMAIN.note(definition.whole, domain.name)
         case _:
             raise wrong(section, f"expected (:domain {domain.name})")
-
-
-def _goal(section: Group, scope: TermScope) -> tuple[Condition, tuple[Preference, ...]]:
-    if len(section.rest) != 1:
-        raise wrong(section, f"expected (:goal CONDITION), found {len(section.rest)} conditions")
-    return split_preferences(section.rest[0], scope)
 
 
 def _metric(section: Group, scope: TermScope) -> Metric | None:

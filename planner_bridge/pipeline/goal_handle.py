@@ -177,7 +177,11 @@ class GoalHandle:
             world = self._journal.world(initial_knowledge(described))
             try:
                 await backend.open(world)
-                sources = self._open_sources()
+                ros = getattr(backend, "ros", None)
+                if plan:
+                    sources = plan.open_sources(ros)
+                elif self._settings.ask_for_help:  # a person may be asked for help with a goal, whose runs ask nobody else
+                    sources = Sources((), make_source(SourceChoice("person"), Surroundings(ros)))
                 runner = await self._runner(world, journal, sources)
                 is_ready, helper = True, sources if self._settings.ask_for_help else None
                 goal = self._problem.goal
@@ -193,13 +197,6 @@ class GoalHandle:
                 if sources is not None:
                     await sources.close()
                 await backend.close()
-
-    def _open_sources(self) -> Sources | None:
-        """Open the sources of a plan, or the person who may be asked for help with a goal, whose runs ask nobody else."""
-        ros = getattr(self._backend, "ros", None)
-        if self._plan:
-            return self._plan.open_sources(ros)
-        return Sources((), make_source(SourceChoice("person"), Surroundings(ros))) if self._settings.ask_for_help else None
 
     async def _runner(self, world: KnowledgeBase, journal: Journal, sources: Sources | None) -> PlanRunner:
         """Return the executor of plans, once the backend is ready for them; raise an `InputError` if it, or a parameter, is wrong."""

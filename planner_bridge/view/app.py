@@ -14,6 +14,7 @@ import socket
 from collections.abc import AsyncIterator, Awaitable, Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field, fields
+from functools import partial
 from itertools import count
 from pathlib import Path
 from typing import Any, Final, TypeVar
@@ -83,25 +84,19 @@ class ViewApp:
         """Of this journal as this process reads it: numbers of records that a browser has from elsewhere mean nothing here."""
         routes = [
             Route("/", self._page),
-            Route("/state", self._state),
-            Route("/call", self._call),
+            Route("/state", partial(self._told, tell=lambda story: self._frame(None, view_of(story)))),
+            Route("/call", partial(self._told_of_call, tell=detail)),
             Route("/why", self._why),
             Route("/picture", self._picture),
             Route("/events", self._events),
             Route("/control", control.look),
-            Route("/control", self._do, methods=["POST"]),
+            Route("/control", partial(control.do, world=self._projected), methods=["POST"]),
             Mount("/page", StaticFiles(directory=PAGE)),
         ]
         self.asgi: Final = _Guarded(Starlette(routes=routes))
 
     async def _page(self, request: Request) -> Response:
         return FileResponse(PAGE / "index.html")
-
-    async def _state(self, request: Request) -> Response:
-        return await self._told(request, lambda story: self._frame(None, view_of(story)))
-
-    async def _call(self, request: Request) -> Response:
-        return await self._told_of_call(request, detail)
 
     async def _why(self, request: Request) -> Response:
         """Answer with why a call is in its plan, and why it began when it did or what it waits for, as it was after a record.
@@ -117,9 +112,6 @@ class ViewApp:
             return ShownResponse([answer.as_json() for answer in explained(self._place, *about)])
 
         return await self._told_of_call(request, asked, answered)
-
-    async def _do(self, request: Request) -> Response:
-        return await self._control.do(request, self._projected)
 
     async def _projected(self) -> KnowledgeBase:
         """Return the world as it will be when what is under way has ended."""

@@ -293,8 +293,13 @@ class ReferenceRun:
             else:
                 self.claims.give(step)
             self.queue += self.claims.served()
-        for left in taken:
-            self._leave(left)
+        for left in taken:  # the next token there is decided anew
+            self.undecided.pop(left, None)
+            if self.claims.leave(left):  # others may have the resources now
+                self.queue += self.claims.served()
+            for asked in self.asked_at[left]:
+                self.since.pop(asked, None)
+            self.commands += map(events.Withdraw, self.questions.left(left))
         self._mark(given, marked_at)
         if self.is_ending and not was_ending:
             self.queue += self.undecided
@@ -305,15 +310,6 @@ class ReferenceRun:
         for place in places:
             self.marked_at[place] = time
         self.queue += [place for place in places if place not in self.machine.record_places]
-
-    def _leave(self, place: str) -> None:
-        """Forget what was waited for at a place: the next token there is decided anew."""
-        self.undecided.pop(place, None)
-        if self.claims.leave(place):  # others may have the resources now
-            self.queue += self.claims.served()
-        for transition in self.asked_at[place]:
-            self.since.pop(transition, None)
-        self.commands += map(events.Withdraw, self.questions.left(place))
 
     # --- guards ---------------------------------------------------------------------------------
 

@@ -234,7 +234,11 @@ class DerivedFacts:
     def _ended(self, fluent: Fluent, judge: _Judge, *, by_chain: bool = False) -> Iterator[_Attempt]:
         """Yield all attempts to derive the fact, each at its last step, as far as is known."""
         bodies = self.rules.chains[fluent[0]].bodies if by_chain else self._bodies[fluent[0]]
-        waiting = list(reversed(self._attempts(fluent, bodies)))
+        waiting = [
+            _Attempt(fluent, body, dict(zip((variable.name for variable in body.head), fluent[1:], strict=True)))
+            for body in reversed(bodies)
+            if len(body.head) == len(fluent) - 1 and all(map(self._is_of, fluent[1:], (variable.types for variable in body.head)))
+        ]
         while waiting:
             attempt = waiting.pop()
             further = [] if attempt.succeeded else self._further(attempt, judge)
@@ -244,14 +248,6 @@ class DerivedFacts:
                 yield attempt
 
     # --- following bodies -------------------------------------------------------------------------
-
-    def _attempts(self, fluent: Fluent, bodies: tuple[Body, ...]) -> list[_Attempt]:
-        """Return an attempt to derive the fact for every body that is about it."""
-        return [
-            _Attempt(fluent, body, dict(zip((variable.name for variable in body.head), fluent[1:], strict=True)))
-            for body in bodies
-            if len(body.head) == len(fluent) - 1 and all(map(self._is_of, fluent[1:], (variable.types for variable in body.head)))
-        ]
 
     def _further(self, attempt: _Attempt, judge: _Judge) -> list[_Attempt]:
         """Return the attempt after its next step, once for every binding with which that succeeds."""

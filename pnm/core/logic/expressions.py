@@ -142,7 +142,12 @@ def value_of(expression: Expression, state: State, env: Environment = NOTHING) -
             numbers = [value_of(operand, state, env) for operand in operands]
             if any(number is UNKNOWN or isinstance(number, str) for number in numbers):
                 return UNKNOWN
-            return _calculate(operation, [float(number) for number in numbers])  # type: ignore[arg-type]
+            result, *others = [float(number) for number in numbers]  # type: ignore[arg-type]
+            for number in others:
+                if operation == "/" and number == 0:
+                    return UNKNOWN
+                result = _ARITHMETIC[operation](result, number)
+            return result if others or operation != "-" else -result
         case _:
             assert_never(expression)
 
@@ -244,14 +249,3 @@ def hidden(env: Environment, variables: tuple[Variable, ...]) -> Environment:
     """Return the environment without the variables that a quantifier binds anew."""
     names = {variable.name for variable in variables}
     return {name: value for name, value in env.items() if name not in names}
-
-
-def _calculate(operation: str, numbers: list[float]) -> float | Unknown:
-    if operation == "-" and len(numbers) == 1:
-        return -numbers[0]
-    total = numbers[0]
-    for number in numbers[1:]:
-        if operation == "/" and number == 0:
-            return UNKNOWN
-        total = _ARITHMETIC[operation](total, number)
-    return total

@@ -135,12 +135,8 @@ def _mark_in(text: str) -> Mark | None:
     return None
 
 
-def _boot() -> str:
-    """Return a name of this start of the computer; another one each time where that is not known."""
-    try:
-        return Path("/proc/sys/kernel/random/boot_id").read_text(encoding="ascii").strip()
-    except OSError:
-        return str(uuid4())
-
-
-_BOOT: Final = _boot()
+try:
+    _BOOT = Path("/proc/sys/kernel/random/boot_id").read_text(encoding="ascii").strip()
+except OSError:
+    _BOOT = str(uuid4())
+"""A name of this start of the computer; another one each time where that is not known."""

@@ -301,7 +301,12 @@ def _parts(node: Node, scope: FormulaScope) -> tuple[Effect | Condition, ...]:
             if inner or (fact.text is not None and fluent_in(fact.text) is not None):
                 return (_becomes(fact, False, scope),)
         case "when":
-            return (_when(construct, scope),)
+            keys = Conditional(construct.argument.mapped())
+            late, early, then = keys.condition, keys.at_start, keys.effects
+            condition = late or early
+            if condition is None or then is None or (late and early):
+                raise construct.argument.wrong("'when' takes effects, and either a condition or, for one that is tested early, at_start")
+            return (When(read_condition(condition, scope), _only_effects(then, scope), early=late is None),)
         case "one_of":
             return (read_outcomes(construct.argument, scope),)
         case "forall" if "effects" in construct.argument.mapped().nodes:
@@ -310,7 +315,13 @@ def _parts(node: Node, scope: FormulaScope) -> tuple[Effect | Condition, ...]:
             check_choices(choices_in_effects(effects, scope.declared.count), construct.position)
             return effects
         case word if word in _CHANGES:
-            return (_change(construct, scope),)
+            target, value = construct.items(2)
+            new = Constant(UNDEFINED) if value.text == UNDEFINED else read_expression(value, scope)
+            effect = Set(read_fluent(target), new, _CHANGES[word])
+            scope.check_change(effect.fluent, target, effect.value, value)
+            if scope.strict and effect.operation != "assign" and scope.is_object(ValueOf(effect.fluent)):
+                raise target.wrong(f"the values of {effect.fluent[0]!r} are objects; expected assign, found {construct.written}")
+            return (effect,)
     if scope.strict:
         raise node.wrong("expected an effect, such as (at ?r kitchen), or not of a fact")
     return (read_condition(node, scope),)
@@ -323,25 +334,6 @@ def _becomes(node: Node, truth: bool, scope: FormulaScope) -> Set:
     effect = Set(read_fluent(node), Constant(truth))
     scope.check_change(effect.fluent, node, effect.value)
     return effect
-
-
-def _change(construct: words.Form, scope: FormulaScope) -> Set:
-    target, value = construct.items(2)
-    new = Constant(UNDEFINED) if value.text == UNDEFINED else read_expression(value, scope)
-    effect = Set(read_fluent(target), new, _CHANGES[construct.word])
-    scope.check_change(effect.fluent, target, effect.value, value)
-    if scope.strict and effect.operation != "assign" and scope.is_object(ValueOf(effect.fluent)):
-        raise target.wrong(f"the values of {effect.fluent[0]!r} are objects; expected assign, found {construct.written}")
-    return effect
-
-
-def _when(construct: words.Form, scope: FormulaScope) -> When:
-    keys = Conditional(construct.argument.mapped())
-    late, early, body = keys.condition, keys.at_start, keys.effects
-    condition = late or early
-    if condition is None or body is None or (late and early):
-        raise construct.argument.wrong("'when' takes effects, and either a condition or, for one that is tested early, at_start")
-    return When(read_condition(condition, scope), _only_effects(body, scope), early=late is None)
 
 
 def read_outcomes(node: Node, scope: FormulaScope = ANYTHING) -> OneOf:

@@ -5,10 +5,10 @@ The regions that a machine declares are not trusted: they are compared with the 
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import chain
+from itertools import chain, product
 from typing import Final, TypeAlias
 
 from pnm.core.machine.guards import ConditionFalse, ConditionTrue
@@ -195,7 +195,9 @@ class Anatomy:
         # An input that the block also puts back is looked at late, at its end; all others are needed to start.
         first = tuple(place for place in inputs if place not in given)
         rest = tuple(place for place in inputs if place in given)
-        _check_together((first, rest), steps)
+        for step, together in product(steps, (first, rest)):
+            if 0 < sum(place in step.inputs for place in together) < len(together):
+                raise Unsound(f"{step.name} takes only some of the inputs {list(together)}")
         early = frozenset(
             place for place in outputs if place in machine.orderings and machine.orderings[place].before.moment is Moment.START
         )
@@ -295,14 +297,6 @@ class Anatomy:
 def _may_come(place: str) -> str:
     """Name the counter of how often the place may still be marked from outside, for the exploration to end."""
     return f"{place} may come"
-
-
-def _check_together(supplies: Iterable[tuple[str, ...]], steps: Sequence[PartStep]) -> None:
-    for together in supplies:
-        if len(together) > 1:
-            for step in steps:
-                if 0 < sum(place in step.inputs for place in together) < len(together):
-                    raise Unsound(f"{step.name} takes only some of the inputs {list(together)}")
 
 
 def _resources(steps: Iterable[PartStep], resources: Mapping[str, int]) -> dict[str, int]:
