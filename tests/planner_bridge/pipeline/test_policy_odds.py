@@ -7,12 +7,13 @@ from math import sqrt
 import pytest
 from hypothesis import given, settings, strategies as st
 
+from planner_bridge.model import plan
 from planner_bridge.model.problem import Problem
 from planner_bridge.pddl import parse_domain, parse_problem
 from planner_bridge.pipeline.odds import KnownRobots, Odds
 from planner_bridge.pipeline.policy_odds import PolicyChain
 from planner_bridge.pipeline.roll_outs import odds_of_goal
-from planner_bridge.planning.policies.policy import Entry, Policy, find_policy
+from planner_bridge.planning.policies.policy import Entry, Policy, policies
 from planner_bridge.planning.solve import solve
 from planner_bridge.tasks.replanning import Limits
 from planner_bridge.tasks.settings import Settings
@@ -31,7 +32,7 @@ def door(effect: str) -> Problem:
     return parse_problem("(define (problem p) (:domain door) (:init) (:goal (open)))", parse_domain(domain))
 
 
-def exact(problem: Problem, policy: Policy | None, *faults: Fault, bindings: Bindings = ONCE) -> Odds | None:
+def exact(problem: Problem, policy: plan.Policy | None, *faults: Fault, bindings: Bindings = ONCE) -> Odds | None:
     assert policy is not None
     chain = PolicyChain.of(problem, policy, bindings, KnownRobots(faults=Faults(faults)).attempts(bindings, is_timed=False))
     return chain.odds() if chain else None
@@ -54,7 +55,7 @@ def test_what_is_tried_until_it_succeeds_has_the_odds_of_a_geometric_series() ->
 
 def test_a_trap_takes_its_chance_and_even_ones_are_said_to_be() -> None:
     problem = door("(oneof (open) (and) (stuck))")
-    knock, turn = Entry({("stuck",): False}, "knock", (), 1, 2.0), Entry({("stuck",): True}, "turn", (), 1, 2.0)
+    knock, turn = Entry({("stuck",): False}, "knock", (), 1, 2.0, 0.5), Entry({("stuck",): True}, "turn", (), 1, 2.0, 0.0)
     for entries in ((knock,), (knock, turn)):  # a state without an entry, and states that nothing leads out of
         odds = exact(problem, Policy(problem, entries), Fault("knock", FaultKind.ABORT, chance=0.0))
         assert odds is not None
@@ -80,18 +81,17 @@ def test_exact_odds_are_those_of_runs_of_the_machine() -> None:
 
 def test_outcomes_that_nothing_tells_apart_have_no_exact_odds() -> None:
     problem = door("(oneof (open) (and))")
-    assert exact(problem, find_policy(problem, 60.0), bindings=Bindings(assumed=frozenset({"open"}))) is None
+    assert exact(problem, solve(problem, improve=0.0).policy, bindings=Bindings(assumed=frozenset({"open"}))) is None
 
 
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=30, deadline=None)
 @given(st.integers(0, 10**9))
 def test_chances_and_actions_are_those_of_an_independent_solution(seed: int) -> None:
     domain, of_problem = texts(seed)
     problem = parse_problem(of_problem, parse_domain(domain))
-    policy = find_policy(problem, 60.0)
-    if policy is not None:
+    for policy in policies(problem, 5.0):
         odds = exact(problem, policy, Fault("none", FaultKind.ABORT))
         assert odds is not None
         chance, actions, _ = Exact(problem).played(policy)
         assert odds.chance == pytest.approx(chance)
-        assert odds.actions == pytest.approx(actions, rel=1e-6)
+        assert chance < 1.0 - 1e-9 or odds.actions == pytest.approx(actions, rel=1e-6)
