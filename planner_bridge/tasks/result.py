@@ -352,7 +352,7 @@ class PolicyNote:
         """Return the policy for a problem."""
         from planner_bridge.planning.policies import policy  # here, because most actions have one outcome
 
-        entries = tuple([policy.Entry(*entry) for entry in self.entries])
+        entries = tuple([policy.PolicyEntry(*entry) for entry in self.entries])
         return policy.Policy(problem, entries, self.chance, self.is_proved) if entries else None
 
 

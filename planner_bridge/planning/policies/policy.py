@@ -32,7 +32,7 @@ _CERTAIN: Final = 0.5
 """Part of the time in which a policy is looked for that reaches the goal for certain."""
 
 
-class Entry(NamedTuple):
+class PolicyEntry(NamedTuple):
     """What to do in every state in which these facts are so."""
 
     facts: Mapping[Fluent, bool]
@@ -54,7 +54,7 @@ class Policy:
     """What to do wherever the outcomes of actions may lead: of the entries that fit a state, the first one counts."""
 
     problem: Problem
-    entries: tuple[Entry, ...]
+    entries: tuple[PolicyEntry, ...]
     """Those with the fewest expected actions first."""
     chance: float = 1.0
     """Of the goal, from the initial state."""
@@ -97,7 +97,7 @@ class Policy:
         ]
         return {"is_proved": self.is_proved, "chance": round(self.chance, 6), "entries": entries}
 
-    def entry(self, state: State) -> Entry | None:
+    def entry(self, state: State) -> PolicyEntry | None:
         """Return the entry for the state; None if there is none."""
         true = false = 0
         for fluent, bit in self._bits.items():
@@ -207,7 +207,7 @@ class Thinking:
         return self.policies[0] if self.policies else None
 
     @property
-    def entries(self) -> tuple[Entry, ...]:
+    def entries(self) -> tuple[PolicyEntry, ...]:
         """Those of the best policy so far."""
         return self.policy.entries if self.policy else ()
 
@@ -285,7 +285,7 @@ def _policy(problem: Problem, search: Search) -> Policy:
     task, first = search.task, search.settled(search.task.initial)
     assert first is not None, "there is an entry for the initial state"
     entries = tuple(
-        Entry(
+        PolicyEntry(
             {**dict.fromkeys(task.named(need.true), True), **dict.fromkeys(task.named(need.false), False)},
             action.name,
             action.arguments,

@@ -45,7 +45,8 @@ def policy_steps(task: PolicyTask, entries: list[SettledPart]) -> list[Step]:
     """Return the steps that may be taken from the initial state on, each once, the nearest to the goal first at every branch."""
     numbers: dict[int, int] = {}
     follow: dict[int, list[dict[int, None]]] = {}
-    waiting, seen, found = [task.initial], {task.initial}, dict[int, SettledPart]()
+    # states of steps that nothing follows yet come first: then every step is followed, however many states there are
+    fresh, waiting, seen, found = [task.initial], list[int](), {task.initial}, dict[int, SettledPart]()
 
     def place(state: int) -> int:
         if task.goal_in(state):
@@ -56,8 +57,8 @@ def policy_steps(task: PolicyTask, entries: list[SettledPart]) -> list[Step]:
         found[at] = entries[at]
         return numbers.setdefault(at, len(numbers) + 1)
 
-    while waiting and len(seen) < _STATES:
-        state = waiting.pop()
+    while (fresh or waiting) and len(seen) < _STATES:
+        state = (fresh or waiting).pop()
         number = place(state)
         if number > 0:
             at = next(at for at, one in numbers.items() if one == number)
@@ -72,7 +73,8 @@ def policy_steps(task: PolicyTask, entries: list[SettledPart]) -> list[Step]:
                 places[place(one)] = None
             new = [one for one in sorted(dict.fromkeys(after), key=ranks.__getitem__, reverse=True) if one not in seen]
             seen.update(new)
-            waiting += new
+            for one in new:
+                (waiting if place(one) in follow else fresh).append(one)
     steps = []
     for at, number in numbers.items():
         action = found[at].action

@@ -13,7 +13,7 @@ from planner_bridge.pddl import parse_domain, parse_problem
 from planner_bridge.pipeline.odds import KnownRobots, Odds
 from planner_bridge.pipeline.policy_odds import PolicyChain
 from planner_bridge.pipeline.roll_outs import odds_of_goal
-from planner_bridge.planning.policies.policy import Entry, Policy, policies
+from planner_bridge.planning.policies.policy import Policy, PolicyEntry, policies
 from planner_bridge.planning.solve import solve
 from planner_bridge.tasks.replanning import Limits
 from planner_bridge.tasks.settings import Settings
@@ -55,7 +55,7 @@ def test_what_is_tried_until_it_succeeds_has_the_odds_of_a_geometric_series() ->
 
 def test_a_trap_takes_its_chance_and_even_ones_are_said_to_be() -> None:
     problem = door("(oneof (open) (and) (stuck))")
-    knock, turn = Entry({("stuck",): False}, "knock", (), 1, 2.0, 0.5), Entry({("stuck",): True}, "turn", (), 1, 2.0, 0.0)
+    knock, turn = PolicyEntry({("stuck",): False}, "knock", (), 1, 2.0, 0.5), PolicyEntry({("stuck",): True}, "turn", (), 1, 2.0, 0.0)
     for entries in ((knock,), (knock, turn)):  # a state without an entry, and states that nothing leads out of
         odds = exact(problem, Policy(problem, entries), Fault("knock", FaultKind.ABORT, chance=0.0))
         assert odds is not None
