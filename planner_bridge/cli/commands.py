@@ -122,12 +122,11 @@ def plan(
         policy = result.policy.policy if isinstance(result.policy, Thinking) else None
     if result.plan is not None and learned is not None and learned.calls:
         from planner_bridge.pipeline.roll_outs import odds_of_goal
-        from planner_bridge.tasks.settings import Settings
+        from planner_bridge.tasks.settings import DEFAULTS, Settings
         from pnm.actions.faults import NO_FAULTS
-        from pnm.core.machine.bindings import NO_BINDINGS
 
         odds = odds_of_goal(
-            loaded, result.plan, Settings(bindings=bound or NO_BINDINGS), NO_FAULTS, learned, policy=result.policy, seconds=0.0
+            loaded, result.plan, Settings(bindings=bound or DEFAULTS.bindings), NO_FAULTS, learned, policy=result.policy, seconds=0.0
         )
     if as_json:
         steps = [
@@ -207,7 +206,6 @@ def net(
     A planner finds the plan, or --plan names a hand-written one.
     """
     from planner_bridge.ordering.plan_to_graph import plan_graph
-    from pnm.core.machine.bindings import NO_BINDINGS
     from pnm.core.machine.generate import generate
     from pnm.core.machine.verification.verify import verify
     from pnm.core.pictures.export import to_dot, to_json
@@ -233,7 +231,7 @@ def net(
 
             SafeConsole(stderr=True).print_reason("no plan:", result.reason)
             return 1
-        machine = generate(plan_graph(loaded, result.plan), bound or NO_BINDINGS)
+        machine = generate(plan_graph(loaded, result.plan), bound)
     proof = verify(machine)
     match written_as, level:
         case "json", _:
@@ -267,12 +265,12 @@ def simulate(
     """
     from planner_bridge.node.simulate import play
     from planner_bridge.pipeline.loading import bindings_for
-    from pnm.core.machine.bindings import NO_BINDINGS
+    from planner_bridge.tasks.settings import DEFAULTS
 
     if log:
         options.check_output(log, force=force)
     loaded = options.problem_in(domain, problem)
-    bound = bindings_for(domain, bindings, loaded.vocabulary) or NO_BINDINGS
+    bound = bindings_for(domain, bindings, loaded.vocabulary) or DEFAULTS.bindings
     return play(loaded, bound, options.faults_in(faults, loaded.vocabulary), speed or (1.0 if loaded.timed else 20.0), log)
 
 
