@@ -16,6 +16,7 @@ from uuid import UUID
 
 from planner_bridge.node.node_context import NodeContext
 from planner_bridge.node.serve import make_task_manager
+from planner_bridge.tasks.settings import DEFAULTS, Settings
 from pnm.core.knowledge_base import KnowledgeBase, parse_fluent
 from pnm.core.logic.computed_values import Layer, Question
 from pnm.core.logic.expressions import Fluent, Unknown, Value, fluent_text
@@ -62,6 +63,7 @@ class FakeTasks:
     open: dict[UUID, TaskStatus] = field(default_factory=dict)
     listeners: list[TaskListener] = field(default_factory=list)
     paused: bool = False
+    settings: Settings = DEFAULTS
     said: list[tuple[object, ...]] = field(default_factory=list)
     """What an operator has said besides."""
     _before: dict[UUID, TaskState] = field(default_factory=dict)
