@@ -174,10 +174,15 @@ def success_is_true(story: Story) -> Iterator[str]:
 
 
 def an_outcome_is_told_as_it_was(story: Story) -> Iterator[str]:
-    """A call that says which of its outcomes it has had says what its robot drew, or leaves that open as well."""
+    """A call that says which of its outcomes it has had says what its robot drew, or leaves that open as well.
+
+    A robot that begins anew with a request after its own death draws anew, and what it did before stays: sensors tell both.
+    """
     calls, drawn, told = _calls(story), dict[tuple[UUID, str], object](), dict[tuple[UUID, str], str]()
+    begun = Counter(moment.request for moment in story.of(Began))
     for record in story.records:
-        if isinstance(record, Happened) and isinstance(record.event, Ended) and "outcome" in record.event.outcome.result:
+        is_end = isinstance(record, Happened) and isinstance(record.event, Ended) and begun[record.event.request] == 1
+        if is_end and "outcome" in record.event.outcome.result:
             drawn[calls[record.event.request]] = record.event.outcome.result["outcome"]
     for id, replayed in story.replay.runs.items():
         told |= {(replayed.made.task, str(result.call.action)): result.declared for result in _results(story, id) if result.declared}
