@@ -12,11 +12,10 @@ import time
 from collections.abc import Iterable, Iterator, Sequence
 from heapq import heappop, heappush
 from math import inf
-from typing import Final, NamedTuple, TypeAlias
+from typing import TYPE_CHECKING, Final, NamedTuple, TypeAlias
 
 from planner_bridge.model.grounding import dynamic_names, initial_knowledge, modelled_duration
 from planner_bridge.model.problem import TOTAL_TIME, Problem
-from planner_bridge.ordering.robot_time import ExpectedTimes
 from planner_bridge.planning.normal_form import Assignment, schema_assignments
 from pnm.core.logic.conditions import Condition, Holds, Not, conjuncts, evaluate, names
 from pnm.core.logic.domain import ActionSchema
@@ -33,6 +32,9 @@ from pnm.core.logic.expressions import (
     value_of,
 )
 from pnm.core.machine.plan_graph import GroundAction
+
+if TYPE_CHECKING:
+    from planner_bridge.ordering.robot_time import ExpectedTimes
 
 _MOST: Final = 20_000
 """Ground actions of one kind that are looked at."""

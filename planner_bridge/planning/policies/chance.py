@@ -30,9 +30,11 @@ _SOME: Final = 5_000
 _SHARE: Final = 0.3
 """Part of the time for the states that are the likeliest to matter, before all are looked into."""
 _STEPS: Final = 300
+"""Actions for which chances are followed from the initial state."""
 _HARDLY: Final = 0.003
+"""A chance of a state that hardly counts."""
 _AT_ONCE: Final = 20
-"""Chances that differ by less are the same."""
+"""States that are planned for before what is best is worked out anew, at most."""
 
 
 class KnownEnd(NamedTuple):

@@ -44,43 +44,42 @@ class Step(NamedTuple):
 def policy_steps(task: PolicyTask, entries: list[SettledPart]) -> list[Step]:
     """Return the steps that may be taken from the initial state on, each once, the nearest to the goal first at every branch."""
     numbers: dict[int, int] = {}
+    """The number of each entry, by its place among them."""
     follow: dict[int, list[dict[int, None]]] = {}
     # states of steps that nothing follows yet come first: then every step is followed, however many states there are
-    fresh, waiting, seen, found = [task.initial], list[int](), {task.initial}, dict[int, SettledPart]()
+    fresh, waiting, seen = [task.initial], list[int](), {task.initial}
 
-    def place(state: int) -> int:
+    def fitting(state: int) -> int | None:
+        return next((at for at, entry in enumerate(entries) if entry.need.holds(state)), None)
+
+    def number(state: int, at: int | None) -> int:
         if task.goal_in(state):
             return GOAL
-        at = next((at for at, entry in enumerate(entries) if entry.need.holds(state)), None)
-        if at is None:
-            return NO_WAY_OUT
-        found[at] = entries[at]
-        return numbers.setdefault(at, len(numbers) + 1)
+        return NO_WAY_OUT if at is None else numbers.setdefault(at, len(numbers) + 1)
 
     while (fresh or waiting) and len(seen) < _STATES:
         state = (fresh or waiting).pop()
-        number = place(state)
-        if number > 0:
-            at = next(at for at, one in numbers.items() if one == number)
-            action = found[at].action
+        at = fitting(state)
+        if number(state, at) > 0 and at is not None:
+            action = entries[at].action
             assert action is not None
-            then = follow.setdefault(number, [{} for _ in action.outcomes])
+            then = follow.setdefault(at, [{} for _ in action.outcomes])
             after = [outcome.after(state) for outcome in action.outcomes]
-            ranks = {one: next((entry.distance for entry in entries if entry.need.holds(one)), 0.0) for one in after}
-            for one in sorted(after, key=ranks.__getitem__):
-                place(one)
-            for one, places in zip(after, then, strict=True):
-                places[place(one)] = None
-            new = [one for one in sorted(dict.fromkeys(after), key=ranks.__getitem__, reverse=True) if one not in seen]
-            seen.update(new)
-            for one in new:
-                (waiting if place(one) in follow else fresh).append(one)
+            places = {one: fitting(one) for one in after}
+            nearest = sorted(places, key=lambda one: 0.0 if (place := places[one]) is None else entries[place].distance)
+            numbered = {one: number(one, places[one]) for one in nearest}
+            for one, following in zip(after, then, strict=True):
+                following[numbered[one]] = None
+            for one in reversed(nearest):
+                if one not in seen:
+                    seen.add(one)
+                    (waiting if places[one] in follow else fresh).append(one)
     steps = []
-    for at, number in numbers.items():
-        action = found[at].action
+    for at, its in numbers.items():
+        action = entries[at].action
         assert action is not None
-        ways = zip(action.outcomes, follow.get(number, [{} for _ in action.outcomes]), strict=True)
-        steps.append(Step(number, action, found[at].expected, tuple(Branch(way.name, way.chance, tuple(then)) for way, then in ways)))
+        ways = zip(action.outcomes, follow.get(at, [{} for _ in action.outcomes]), strict=True)
+        steps.append(Step(its, action, entries[at].expected, tuple(Branch(way.name, way.chance, tuple(then)) for way, then in ways)))
     return steps
 
 
