@@ -299,13 +299,12 @@ def planned(
     domain, problem = files
     loaded = problem_in(domain, problem)
     bound = bindings_for(domain, bindings, loaded.vocabulary)
-    if improve is None and is_looked_at and (loaded.is_timed or loaded.metric):
-        improve = GLANCE
+    is_glance = improve is None and is_looked_at and bool(loaded.is_timed or loaded.metric)
+    seconds = _BOUND if is_looked_at and not is_glance else 0.0
     with searching(planner, timeout):
         learned = rates_for(domain, rates)
-        result = solve(
-            loaded, planner=planner, timeout=timeout, improve=improve, bindings=bound, learned=learned, bound=is_looked_at * _BOUND
-        )
+        improve = GLANCE if is_glance else improve
+        result = solve(loaded, planner=planner, timeout=timeout, improve=improve, bindings=bound, learned=learned, bound=seconds)
     return Planned(loaded, result, bound, learned)
 
 

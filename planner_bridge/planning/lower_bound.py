@@ -155,7 +155,7 @@ class _Relaxation:
         for variable in schema.parameters:
             known.add(variable.name)
             ready = [fluent for fluent in facts if variable.name in fluent and all(term in known or term[0] != "?" for term in fluent)]
-            wider = (inner for env in found for inner in choices((variable,), self._state, env))
+            wider = ({**env, variable.name: value} for env in found for value in self._state.objects(variable.types))
             found = [env for env in wider if all(self._state.value(bind(fluent, env)) is True for fluent in ready)]
             if len(found) > _MOST or time.monotonic() > self._until:
                 raise _NoBound

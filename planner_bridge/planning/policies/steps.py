@@ -66,11 +66,11 @@ def policy_steps(task: PolicyTask, entries: list[SettledPart]) -> list[Step]:
             then = follow.setdefault(at, [{} for _ in action.outcomes])
             after = [outcome.after(state) for outcome in action.outcomes]
             places = {one: fitting(one) for one in after}
-            nearest = sorted(places, key=lambda one: 0.0 if (place := places[one]) is None else entries[place].distance)
-            numbered = {one: number(one, places[one]) for one in nearest}
+            distances = {one: 0.0 if place is None else entries[place].distance for one, place in places.items()}
+            numbered = {one: number(one, places[one]) for one in sorted(places, key=distances.__getitem__)}
             for one, following in zip(after, then, strict=True):
                 following[numbered[one]] = None
-            for one in reversed(nearest):
+            for one in sorted(places, key=distances.__getitem__, reverse=True):
                 if one not in seen:
                     seen.add(one)
                     (waiting if places[one] in follow else fresh).append(one)

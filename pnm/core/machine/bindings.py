@@ -89,8 +89,9 @@ class Binding:
     """Seconds that the action is expected to take where the domain does not say so; None if nobody knows."""
     timeout: float | None = None
     """Seconds from acceptance until the action is cancelled; by default twice the planned duration, 10 at least."""
-    accept: float = 15.0
-    """Seconds the server may take to answer a goal; a first contact over DDS takes up to 5."""
+    accept: float = 20.0
+    """Seconds the server may take to answer a goal. With those of a cancellation they are more than the lease of DDS and the grace of its
+    client: a server that died before it answered is then known to be gone before the request is given up."""
     cancel: float = 5.0
     """Seconds the server may take to confirm a cancellation."""
     retries: int = 1

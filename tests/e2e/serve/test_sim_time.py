@@ -14,7 +14,7 @@ from tests.support.processes import Program
 @pytest.fixture(scope="module")
 def simulation(deployment_of_module: PlanDeployment) -> PlanDeployment:
     """A simulation three hundred times as fast as real time, and a server whose actions take longer than their limit of 600 s."""
-    # At this speed 15 s, the limit for an answer to a goal, are 50 ms of the processor, which a busy machine may need.
+    # At this speed 20 s, the limit for an answer to a goal, are 67 ms of the processor, which a busy machine may need.
     patient = DOMAIN.replace("timeout: 600", "timeout: 600, accept: 6000")
     deployment_of_module.write(
         {

@@ -63,7 +63,7 @@ actions:
     )
     assert read_bindings(written(tmp_path, content)) == Bindings({"wait": Binding(), "move": move}, frozenset({"holding", "tidy"}), 2.0)
     assert read_bindings(written(tmp_path, "{}")) == Bindings()
-    assert Bindings().of("move") == Binding(server=None, type=None, goal=None, store={}, timeout=None, accept=15.0, cancel=5.0, retries=1)
+    assert Bindings().of("move") == Binding(server=None, type=None, goal=None, store={}, timeout=None, accept=20.0, cancel=5.0, retries=1)
 
 
 @pytest.mark.parametrize(("content", "message"), refused(BAD_INPUT / "bindings_with_unknown_names.yaml"))

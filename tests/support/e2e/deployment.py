@@ -64,11 +64,12 @@ class RosDomain(Deployment):
         folder: for the files of the deployment.
         ros_domain: its number.
         quick: have processes look out for each other more often than every 3 s, which is the default.
+        lease: seconds after which a process that is not heard is taken for gone; 20 by default.
     """
 
-    def __init__(self, folder: Path, ros_domain: int, *, quick: bool = False) -> None:
+    def __init__(self, folder: Path, ros_domain: int, *, quick: bool = False, lease: int | None = None) -> None:
         # journals of nodes, with which no other deployment is to go on
-        super().__init__(folder, {**middleware(folder, ros_domain, is_quick=quick), "XDG_STATE_HOME": str(folder / "state")})
+        super().__init__(folder, {**middleware(folder, ros_domain, lease=lease, is_quick=quick), "XDG_STATE_HOME": str(folder / "state")})
 
     def pnm(self, kind: type[P], *arguments: str, within: Sequence[str] = ()) -> P:
         """Start `pnm` with these arguments, by the command it is within if any."""
@@ -90,6 +91,7 @@ class ProblemDeployment(RosDomain):
         bindings: text of a bindings file; by default the domain's own.
         speed: how many times faster than real time the robots are.
         quick: have processes look out for each other more often than every 3 s, which is the default.
+        lease: seconds after which a process that is not heard is taken for gone; 20 by default.
         texts: of a domain and a problem, in place of the project's own.
     """
 
@@ -103,9 +105,10 @@ class ProblemDeployment(RosDomain):
         bindings: str = "",
         speed: str = "20",
         quick: bool = False,
+        lease: int | None = None,
         texts: tuple[str, str] | None = None,
     ) -> None:
-        super().__init__(folder, ros_domain, quick=quick)
+        super().__init__(folder, ros_domain, quick=quick, lease=lease)
         if texts:
             self.files = [str(written(folder / "domain.pddl", texts[0])), str(written(folder / "problem.pddl", texts[1]))]
         else:

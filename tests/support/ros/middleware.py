@@ -43,6 +43,8 @@ _PROFILE: Final = """<?xml version="1.0" encoding="UTF-8"?>
 
 _INTERFACES: Final = "<interfaceWhiteList><address>127.0.0.1</address></interfaceWhiteList>"
 _PEERS: Final = "<initialPeersList><locator><udpv4><address>127.0.0.1</address></udpv4></locator></initialPeersList>"
+LEASE: Final = 20
+"""Seconds after which Fast DDS takes a process that is not heard for gone, by default."""
 _ANNOUNCEMENT: Final = "<leaseAnnouncement><sec>0</sec><nanosec>200000000</nanosec></leaseAnnouncement>"
 
 
@@ -54,7 +56,7 @@ def middleware(
     Args:
         folder: where the profile is written.
         domain: its number.
-        lease: seconds after which a process that is not heard is taken for gone; 20 by default.
+        lease: seconds after which a process that is not heard is taken for gone; `LEASE` by default.
         is_quick: have processes look out for each other every 0.2 s, and not every 3 s.
         has_network: they are on several hosts, and find each other by multicast.
         within: participants of one process may deliver directly to each other.
