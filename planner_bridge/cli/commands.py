@@ -86,7 +86,7 @@ def app() -> None:
     type=click.Choice(["text", "dot", "svg"]),
     default="text",
     show_default=True,
-    help="dot and svg draw its calls and their orderings",
+    help="dot and svg draw its calls and their orderings, or the policy",
 )
 @options.output_options
 @options.as_json_option
@@ -115,11 +115,7 @@ def plan(
         options.check_output(output, force=force)
     files = domain, problem
     loaded, result, bound, learned = options.planned(files, bindings, rates, planner, planner_timeout, improve, is_looked_at=True)
-    odds = policy = None
-    if result.policy is not None:
-        from planner_bridge.planning.policies.policy import Thinking
-
-        policy = result.policy.policy if isinstance(result.policy, Thinking) else None
+    odds, policy = None, options.policy_of(result)
     if result.plan is not None and learned is not None and learned.calls:
         from planner_bridge.pipeline.roll_outs import odds_of_goal
         from planner_bridge.tasks.settings import DEFAULTS, Settings
@@ -144,13 +140,17 @@ def plan(
         from planner_bridge.cli.console import SafeConsole  # here and below: a plan alone needs neither rich nor pictures
 
         SafeConsole(stderr=written_as != "text").print_reason("no plan:", result.reason)
+    elif written_as != "text" and policy:
+        from planner_bridge.planning.policies.net import steps_dot, steps_svg
+
+        taken = policy.steps()
+        options.write(output, steps_svg(taken, policy.claim) if written_as == "svg" else steps_dot(taken), force=force)
     elif written_as != "text":
         from planner_bridge.ordering.plan_to_graph import plan_graph
         from pnm.core.pictures.plan_picture import plan_dot, plan_svg
 
         graph = plan_graph(loaded, result.plan)
-        picture = plan_svg(graph) if written_as == "svg" else policy.dot() if policy else plan_dot(graph)
-        options.write(output, picture, force=force)
+        options.write(output, plan_svg(graph) if written_as == "svg" else plan_dot(graph), force=force)
     else:
         lines = [f"plan     {result.plan}"]
         if result.planner != planner:
@@ -203,7 +203,8 @@ def net(
 ) -> int:
     """Write the Petri Net Machine of a plan.
 
-    A planner finds the plan, or --plan names a hand-written one.
+    A planner finds the plan, or --plan names a hand-written one. Where actions have several outcomes, it is the net of the policy: a place
+    for each step, a transition for each outcome.
     """
     from planner_bridge.ordering.plan_to_graph import plan_graph
     from pnm.core.machine.generate import generate
@@ -231,6 +232,20 @@ def net(
 
             SafeConsole(stderr=True).print_reason("no plan:", result.reason)
             return 1
+        if policy := options.policy_of(result):
+            from planner_bridge.planning.policies.net import PolicyNet, steps_dot, steps_svg
+
+            whole = PolicyNet(policy.steps())
+            match written_as, level:
+                case "json", _:
+                    text = whole.as_json()
+                case "svg", _:
+                    text = steps_svg(whole.steps, policy.claim)
+                case _:
+                    text = whole.dot() if level == "net" else steps_dot(whole.steps)
+            options.write(output, text, force=force)
+            print(whole.claim, file=sys.stderr)
+            return 0
         machine = generate(plan_graph(loaded, result.plan), bound)
     proof = verify(machine)
     match written_as, level:

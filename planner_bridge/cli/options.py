@@ -27,6 +27,7 @@ if TYPE_CHECKING:
 
     from planner_bridge.model.plan import PlanningResult
     from planner_bridge.model.rates import Rates
+    from planner_bridge.planning.policies.policy import Policy
     from planner_bridge.view.serving import Controlled, PageProcess
     from pnm.actions.faults import Faults
     from pnm.core.logic.domain import Vocabulary
@@ -306,6 +307,15 @@ def planned(
         improve = GLANCE if is_glance else improve
         result = solve(loaded, planner=planner, timeout=timeout, improve=improve, bindings=bound, learned=learned, bound=seconds)
     return Planned(loaded, result, bound, learned)
+
+
+def policy_of(result: PlanningResult) -> Policy | None:
+    """Return the policy that a plan is the beginning of, if its actions have several outcomes."""
+    if result.policy is None:
+        return None
+    from planner_bridge.planning.policies.policy import Thinking  # here, because most actions have one outcome
+
+    return result.policy.policy if isinstance(result.policy, Thinking) else None
 
 
 def write(path: Path | None, text: str, *, force: bool) -> None:

@@ -46,7 +46,7 @@ class DeadStates:
                 add, delete = changes.get(change.condition, (0, 0))
                 changes[change.condition] = add | change.add, delete | change.delete
             for part in action.conditions:
-                excluded = self._excluded(part.true)
+                excluded = self.task.excluded(part.true)
                 for outcome in action.outcomes:
                     if [change.condition for change in outcome.changes] == [ANY]:
                         ((_, add, delete),) = outcome.changes
@@ -94,17 +94,13 @@ class DeadStates:
     def exactly(self, state: int) -> PartialState:
         """Return the part that stands for the state, and for others that differ in nothing of importance."""
         true = state & self.read
-        return PartialState(true, ~state & self.read & ~self._excluded(true))
-
-    def _excluded(self, true: int) -> int:
-        """Return the facts that cannot be true together with these."""
-        return sum(group & ~true for group in self.task.groups if group & true)
+        return PartialState(true, ~state & self.read & ~self.task.excluded(true))
 
     def _reached(self, part: PartialState) -> bytearray | None:
         """Return which literals can be reached; None if the goal can."""
         left = [*map(len, self._needs)]
         reached = bytearray(self._count)
-        true, false = part.true, part.false | self._excluded(part.true)
+        true, false = part.true, part.false | self.task.excluded(part.true)
         count = len(self.task.facts)
         everything = (1 << count) - 1
         waiting = [_ALWAYS]

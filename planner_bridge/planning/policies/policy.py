@@ -19,7 +19,7 @@ from planner_bridge.planning.policies.chance import improve, take_chances
 from planner_bridge.planning.policies.encoding import OutcomePlanner
 from planner_bridge.planning.policies.proof import unproved
 from planner_bridge.planning.policies.search import Interrupted, Search
-from planner_bridge.planning.policies.steps import MOST, Step, policy_steps, steps_dot
+from planner_bridge.planning.policies.steps import MOST, Step, policy_steps
 from planner_bridge.planning.policies.task import PolicyTask, policy_task
 from pnm.core.knowledge_base import statement_text
 from pnm.core.logic.conditions import evaluate
@@ -79,12 +79,8 @@ class Policy:
             return "reaches the goal whatever the outcomes, if each comes up sooner or later (proved)"
         return f"reaches the goal with a chance of {self.chance:.1%}"
 
-    def dot(self) -> str:
-        """Return the picture for Graphviz."""
-        return steps_dot(self.steps())
-
     def as_json(self) -> dict[str, object]:
-        """Return the claim and the entries as JSON has them."""
+        """Return the claim, the entries, and the steps that they lead to, as JSON has them."""
         entries = [
             {
                 "facts": [statement_text(fluent, value) for fluent, value in entry.facts.items()],
@@ -95,7 +91,9 @@ class Policy:
             }
             for entry in self.entries
         ]
-        return {"is_proved": self.is_proved, "chance": round(self.chance, 6), "entries": entries}
+        return {"is_proved": self.is_proved, "chance": round(self.chance, 6), "entries": entries} | {
+            "steps": [step.as_json() for step in self.steps()]
+        }
 
     def entry(self, state: State) -> PolicyEntry | None:
         """Return the entry for the state; None if there is none."""

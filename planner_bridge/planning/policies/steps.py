@@ -1,10 +1,10 @@
-"""The steps of a policy: which entries follow which, by the outcomes of their actions, as text and as a picture for Graphviz."""
+"""The steps of a policy: which entries follow which, by the outcomes of their actions, as text."""
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator
-from typing import Final, NamedTuple
+from itertools import chain
+from typing import Any, Final, NamedTuple
 
 from planner_bridge.planning.policies.search import SettledPart
 from planner_bridge.planning.policies.task import PolicyAction, PolicyTask
@@ -32,6 +32,12 @@ class Step(NamedTuple):
     expected: float
     branches: tuple[Branch, ...]
 
+    def as_json(self) -> dict[str, Any]:
+        """Return it as JSON has it: 0 is the goal, and -1 no way out."""
+        outcomes = [{"outcome": one.outcome, "chance": round(one.chance, 6), "then": [*one.then]} for one in self.branches]
+        whole = {"number": self.number, "action": self.action.name, "arguments": [*self.action.arguments]}
+        return whole | {"expected": round(self.expected, 3), "outcomes": outcomes}
+
     def lines(self) -> Iterator[str]:
         """Yield the step, and a line for each outcome of several; a step that is followed by the next one says nothing of it."""
         then = {one.then for one in self.branches}
@@ -42,12 +48,20 @@ class Step(NamedTuple):
 
 
 def policy_steps(task: PolicyTask, entries: list[SettledPart]) -> list[Step]:
-    """Return the steps that may be taken from the initial state on, each once, the nearest to the goal first at every branch."""
+    """Return the steps that may be taken from the initial state on, each once, the nearest to the goal first at every branch.
+
+    Of too many states not each is looked at: then what entries need says what may follow, which may be more than what does.
+    """
     numbers: dict[int, int] = {}
     """The number of each entry, by its place among them."""
     follow: dict[int, list[dict[int, None]]] = {}
     # states of steps that nothing follows yet come first: then every step is followed, however many states there are
     fresh, waiting, seen = [task.initial], list[int](), {task.initial}
+
+    def taken(at: int) -> PolicyAction:
+        action = entries[at].action
+        assert action is not None
+        return action
 
     def fitting(state: int) -> int | None:
         return next((at for at, entry in enumerate(entries) if entry.need.holds(state)), None)
@@ -61,8 +75,7 @@ def policy_steps(task: PolicyTask, entries: list[SettledPart]) -> list[Step]:
         state = (fresh or waiting).pop()
         at = fitting(state)
         if number(state, at) > 0 and at is not None:
-            action = entries[at].action
-            assert action is not None
+            action = taken(at)
             then = follow.setdefault(at, [{} for _ in action.outcomes])
             after = [outcome.after(state) for outcome in action.outcomes]
             places = {one: fitting(one) for one in after}
@@ -74,27 +87,29 @@ def policy_steps(task: PolicyTask, entries: list[SettledPart]) -> list[Step]:
                 if one not in seen:
                     seen.add(one)
                     (waiting if places[one] in follow else fresh).append(one)
+    every = [*numbers] if fresh or waiting else []
+    for at in every:
+        action = taken(at)
+        for outcome, following in zip(action.outcomes, follow.setdefault(at, [{} for _ in action.outcomes]), strict=True):
+            known = outcome.known_after(entries[at].need)
+            known = known._replace(false=known.false | task.excluded(known.true))
+            for place, part in chain(((None, part) for part in task.goal), ((place, entry.need) for place, entry in enumerate(entries))):
+                if known.joined(part).is_possible:
+                    its = GOAL if place is None else numbers.setdefault(place, len(numbers) + 1)
+                    following[its] = None
+                    if place is not None and its > len(every):
+                        every.append(place)
+                if known.implies(part):
+                    break
+            else:
+                following[NO_WAY_OUT] = None
     steps = []
     for at, its in numbers.items():
-        action = entries[at].action
-        assert action is not None
-        ways = zip(action.outcomes, follow.get(at, [{} for _ in action.outcomes]), strict=True)
+        action = taken(at)
+        ways = zip(action.outcomes, follow[at], strict=True)
         steps.append(Step(its, action, entries[at].expected, tuple(Branch(way.name, way.chance, tuple(then)) for way, then in ways)))
     return steps
 
 
 def _words(then: tuple[int, ...]) -> str:
     return " or ".join({GOAL: "the goal", NO_WAY_OUT: "no way out"}.get(number, str(number)) for number in then) or "?"
-
-
-def steps_dot(steps: list[Step]) -> str:
-    """Return the picture of a policy for Graphviz: a box for every step, an arrow for every outcome."""
-    lines = ["digraph policy {", '  rankdir=LR; node [shape=box, style=rounded, fontname="sans-serif", fontsize=11];']
-    lines += ['  edge [fontname="sans-serif", fontsize=9]; 0 [label="goal", shape=doublecircle]; "-1" [label="no way out", color=red];']
-    for step in steps:
-        lines.append(f"  {step.number} [label={json.dumps(f'{step.action}  #{step.number}', ensure_ascii=False)}];")
-        several = len(step.branches) > 1
-        for one in step.branches:
-            label = json.dumps(f"{one.outcome} {one.chance:.0%}" if several else "", ensure_ascii=False)
-            lines += (f'  {step.number} -> "{number}" [label={label}];' for number in one.then)
-    return "\n".join((*lines, "}", ""))

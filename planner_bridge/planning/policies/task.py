@@ -97,6 +97,16 @@ class PolicyOutcome(NamedTuple):
                 delete |= deletes
         return state & ~delete | add
 
+    def known_after(self, part: PartialState) -> PartialState:
+        """Return what is so after it in all states of the part: a change whose condition is not known leaves its facts unknown."""
+        sure, possible = [0, 0], [0, 0]
+        for condition, adds, deletes in self.changes:
+            if condition.joined(part).is_possible:
+                found = sure if part.implies(condition) else possible
+                found[0], found[1] = found[0] | adds, found[1] | deletes
+        true = part.true & ~(sure[1] | possible[1]) | sure[0]
+        return PartialState(true, (part.false | sure[1]) & ~(sure[0] | possible[0]))
+
     def before(self, after: PartialState, state: int) -> PartialState:
         """Return what has to hold before, with the same changes as in this state, which leads to what has to hold after it."""
         before, add, delete = ANY, 0, 0
@@ -162,6 +172,10 @@ class PolicyTask:
             for part in action.conditions:
                 found[min(places(part.true), key=counts.__getitem__, default=-1)].append((part, action))
         return found
+
+    def excluded(self, true: int) -> int:
+        """Return the facts that cannot be true together with these."""
+        return sum(group & ~true for group in self.groups if group & true)
 
     @cached_property
     def groups(self) -> tuple[int, ...]:

@@ -1,0 +1,237 @@
+"""The branching net of a policy: a place for each step, the goal, failure and no way out; a transition for each way on from a step.
+
+It is the net of the whole policy, to draw, export and prove: what is carried out are the machines of its stretches. One token is where the
+policy is. A call that fails for good, or the last outcome of as many as a task may have, leads to the failure.
+
+The *distance* of a step is the argument that it ends: one of its outcomes leads nearer, whatever was before. The others count as bad luck,
+which may come about as often as one likes, but not always.
+
+The pictures leave failure out: for Graphviz, and as SVG with a line for each step and each of its outcomes, and arrows to what follows.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Collection, Iterable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Final, NamedTuple
+
+from planner_bridge.planning.policies.steps import GOAL, MOST, NO_WAY_OUT, Step
+from pnm.core.machine.verification.explore import explore_part
+from pnm.core.machine.verification.part import Count, Inside, Left, Part, PartStep, Unsound
+from pnm.core.net.net import Marking, NetBuilder, PetriNet
+from pnm.core.pictures.export import COLOURS, quoted
+from pnm.core.pictures.svg import cut, picture, xml
+from pnm.errors import InputError, counted
+
+FAILURE: Final = -2
+_NAMES: Final = {GOAL: "goal", NO_WAY_OUT: "no way out", FAILURE: "failure"}
+_ROLES: Final = {"goal": "goal", "no way out": "failure", "failure": "failure"}
+_LUCK: Final = Count("luck", frozenset(), frozenset(Left), restores=False)
+
+
+class PolicyWay(NamedTuple):
+    """A transition of the net: what it stands for."""
+
+    step: Step
+    outcome: str
+    """Empty if the call fails."""
+    chance: float | None
+    then: tuple[int, ...]
+    """The steps to which the outcome may lead, by number, those of other transitions included."""
+
+
+@dataclass(frozen=True)
+class PolicyNet:
+    """The net of the steps of a policy.
+
+    Raises an `InputError` if they are too many.
+    """
+
+    steps: Sequence[Step]
+
+    def __post_init__(self) -> None:
+        if len(self.steps) > MOST:
+            raise InputError(
+                f"the policy has {len(self.steps)} steps, and there are nets of {MOST} at most; `pnm plan` prints its beginning"
+            )
+
+    @cached_property
+    def places(self) -> dict[int, str]:
+        """The names of the places, by the number of the step."""
+        reached = {number for step in self.steps for branch in step.branches for number in branch.then}
+        ends = {number: name for number, name in _NAMES.items() if number != NO_WAY_OUT or number in reached}
+        return {step.number: f"#{step.number} {step.action}" for step in self.steps} | ends
+
+    @cached_property
+    def _built(self) -> tuple[PetriNet, dict[str, PolicyWay]]:
+        builder, ways = NetBuilder(), dict[str, PolicyWay]()
+        for place in self.places.values():
+            builder.place(place)
+        for step in self.steps:
+            for number, one in enumerate(step.branches, 1):
+                outcome = one.outcome if len(step.branches) > 1 else "done"
+                for then in one.then:
+                    to = f" -> {_NAMES.get(then, f'#{then}')}" if len(one.then) > 1 else ""
+                    name = builder.transition(f"#{step.number}.{number} {outcome}{to}", [self.places[step.number]], [self.places[then]])
+                    ways[name] = PolicyWay(step, outcome, one.chance, one.then)
+            name = builder.transition(f"#{step.number} fails", [self.places[step.number]], [self.places[FAILURE]])
+            ways[name] = PolicyWay(step, "", None, (FAILURE,))
+        return builder.build(), ways
+
+    @property
+    def net(self) -> PetriNet:
+        """Places and transitions."""
+        return self._built[0]
+
+    @property
+    def ways(self) -> dict[str, PolicyWay]:
+        """What each transition stands for."""
+        return self._built[1]
+
+    @property
+    def initial(self) -> Marking:
+        """The marking at the beginning."""
+        return Marking([self.places[self.steps[0].number if self.steps else GOAL]])
+
+    def distances(self, ends: Iterable[int]) -> dict[int, int]:
+        """Return the fewest calls from steps to one of the ends, with luck, whatever was before; steps without such a way are left out."""
+        found = dict.fromkeys(ends, 0)
+        for distance in range(1, len(self.steps) + 1):
+            left = (step for step in self.steps if step.number not in found)
+            near = [step.number for step in left if any(found.keys() >= {*one.then} for one in step.branches)]
+            found |= dict.fromkeys(near, distance)
+        return found
+
+    def unproved(self, ends: Collection[int]) -> str:
+        """Return why it may go on for ever without luck running out, or stop elsewhere than at these ends; empty if it does not."""
+        distances = self.distances(end for end in ends if end != FAILURE)
+
+        def comes_nearer(way: PolicyWay) -> bool:
+            return all(number in distances and distances[number] < distances.get(way.step.number, 0) for number in way.then)
+
+        steps = tuple(
+            PartStep(name, Inside(), self.net.inputs[name], self.net.outputs[name], counted=None if comes_nearer(way) else _LUCK)
+            for name, way in self.ways.items()
+        )
+        finals = frozenset(self.places[end] for end in ends if end in self.places)
+        try:
+            explore_part(Part(places=tuple(self.net.places), steps=steps, initial=self.initial, finals=finals))
+        except Unsound as error:
+            return str(error)
+        return ""
+
+    @cached_property
+    def is_sure(self) -> bool:
+        """Whether it ends in the goal if no call fails and every outcome comes up sooner or later."""
+        return NO_WAY_OUT not in self.places and not self.unproved((GOAL, FAILURE))
+
+    @cached_property
+    def claim(self) -> str:
+        """What is proved of it, in words."""
+        if self.is_sure:
+            fair = "in the goal if no call fails and each comes up sooner or later"
+            return f"proved: whatever the outcomes, it ends in the goal or in a failure; {fair}"
+        if reason := self.unproved((GOAL, FAILURE, NO_WAY_OUT)):
+            return f"not proved: {reason}"
+        return "proved: whatever the outcomes, it ends in the goal, in a failure, or without a way out"
+
+    def as_json(self) -> str:
+        """Return the net as one JSON object, with the keys that those of machines have."""
+        distances, tokens = self.distances([GOAL]), self.initial
+        data = {
+            "steps": [step.as_json() | {"distance": distances.get(step.number)} for step in self.steps],
+            "places": [{"name": place, "role": _ROLES.get(place, ""), "tokens": tokens[place]} for place in self.net.places],
+            "transitions": [
+                {"name": name, "event": way.outcome or "fails", "step": way.step.number, "chance": way.chance}
+                for name, way in self.ways.items()
+            ],
+            "arcs": [{"source": arc.source, "target": arc.target, "weight": arc.weight} for arc in self.net.arcs],
+            "goal_places": [self.places[GOAL]],
+            "claim": self.claim,
+        }
+        return json.dumps(data, indent=1, ensure_ascii=False) + "\n"
+
+    def dot(self) -> str:
+        """Return the picture for Graphviz: places round, transitions square."""
+        lines = ["digraph policy {", '  rankdir=LR; node [fontname="sans-serif", fontsize=10];']
+        for place in self.net.places:
+            label = quoted(f"{place}{' •' * self.initial[place]}")
+            lines.append(f"  {quoted(place)} [shape=circle, label={label}, color={quoted(COLOURS[_ROLES.get(place, '')])}];")
+        for name, way in self.ways.items():
+            label = f"{way.outcome} {way.chance:.0%}" if way.chance is not None and way.chance < 1.0 else way.outcome or "fails"
+            lines.append(f"  {quoted(name)} [shape=box, height=0.2, label={quoted(label)}];")
+        lines += (f"  {quoted(arc.source)} -> {quoted(arc.target)};" for arc in self.net.arcs)
+        return "\n".join((*lines, "}", ""))
+
+
+# --- pictures of the steps ---------------------------------------------------------------------
+
+
+_ROW: Final = 22
+"""Pixels of a line."""
+_LETTER: Final = 7
+"""Pixels of a letter."""
+_MARGIN: Final = 24
+_LETTERS: Final = 44
+_BEND: Final = (24, 7, 300)
+"""Pixels that an arrow bends to the right: at least, for each line that it passes, and at most."""
+_LOOKS: Final = {GOAL: "goal", NO_WAY_OUT: "lost"}
+_STYLE: Final = (
+    "text{font:11px sans-serif;fill:#263238}.name{font-weight:bold}.bar{fill:#263238}"
+    f"circle{{fill:#fff;stroke:{COLOURS['']};stroke-width:1.5px}}.goal{{stroke:{COLOURS['goal']}}}.lost{{stroke:{COLOURS['failure']}}}"
+    "path{fill:none;stroke:#78909c}.back{stroke-dasharray:4 3}"
+)
+
+
+def steps_svg(steps: Sequence[Step], title: str) -> str:
+    """Return the picture of a policy; the same steps give the same text. Of many steps the first ones are drawn."""
+    shown, ends = steps[:MOST], {GOAL: "goal"}
+    if any(NO_WAY_OUT in branch.then for step in shown for branch in step.branches):
+        ends[NO_WAY_OUT] = "no way out"
+    if len(steps) > MOST:
+        ends[MOST + 1] = counted(len(steps) - MOST, "more step")
+    texts = {step.number: cut(f"#{step.number} {step.action}", _LETTERS) for step in shown}
+    right, widest = 2 * _MARGIN + _LETTER * max(map(len, (*ends.values(), *texts.values()))), 0
+    rows, y = dict[int, int](), _MARGIN
+    for step in shown:
+        rows[step.number] = y
+        y += _ROW * (1 + len(step.branches) * (len(step.branches) > 1))
+    drawn = []
+    for end, name in ends.items():
+        rows[end], y = y, y + _ROW
+        drawn.append(f'<circle class="{_LOOKS.get(end, "")}" cx="{_MARGIN}" cy="{rows[end]}" r="7"/>')
+        drawn.append(f'<text class="name" x="{_MARGIN + 14}" y="{rows[end] + 4}">{name}</text>')
+    for step in shown:
+        top, several = rows[step.number], len(step.branches) > 1
+        drawn.append(f'<g data-step="{step.number}"><title>{xml(f"{step.action}, {step.expected:.1f} calls expected")}</title>')
+        name = xml(texts[step.number])
+        drawn.append(f'<circle cx="{_MARGIN}" cy="{top}" r="7"/><text class="name" x="{_MARGIN + 14}" y="{top + 4}">{name}</text></g>')
+        for line, branch in enumerate(step.branches, 1):
+            from_y = top + _ROW * line * several
+            if several:
+                drawn.append(f'<rect class="bar" x="{_MARGIN + 14}" y="{from_y - 5}" width="3" height="10"/>')
+                words = xml(f"{cut(branch.outcome, _LETTERS)} {branch.chance:.0%}")
+                drawn.append(f'<text x="{_MARGIN + 22}" y="{from_y + 4}">{words}</text>')
+            for then in branch.then:
+                to_y = rows[min(then, MOST + 1)]
+                bend = min(_BEND[0] + _BEND[1] * abs(to_y - from_y) // _ROW, _BEND[2])
+                widest = max(widest, bend)
+                look = _LOOKS.get(then, "back" if to_y <= from_y else "")
+                way = f"M{right} {from_y}C{right + bend} {from_y} {right + bend} {to_y} {right} {to_y}"
+                drawn.append(f'<path class="{look}" d="{way}" marker-end="url(#tip)"/>')
+    return picture("policy", title, _STYLE, right + widest, y, drawn)
+
+
+def steps_dot(steps: Sequence[Step]) -> str:
+    """Return the picture of a policy for Graphviz: a box for every step, an arrow for every outcome."""
+    lines = ["digraph policy {", '  rankdir=LR; node [shape=box, style=rounded, fontname="sans-serif", fontsize=11];']
+    lines += ['  edge [fontname="sans-serif", fontsize=9]; 0 [label="goal", shape=doublecircle]; "-1" [label="no way out", color=red];']
+    for step in steps:
+        lines.append(f"  {step.number} [label={quoted(f'{step.action}  #{step.number}')}];")
+        several = len(step.branches) > 1
+        for one in step.branches:
+            label = quoted(f"{one.outcome} {one.chance:.0%}" if several else "")
+            lines += (f'  {step.number} -> "{number}" [label={label}];' for number in one.then)
+    return "\n".join((*lines, "}", ""))
