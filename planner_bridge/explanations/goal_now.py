@@ -17,6 +17,7 @@ from typing import Final, TypeAlias
 from planner_bridge.explanations.answer import Answer, Known, NoSmallerChange, Solves, listed
 from planner_bridge.explanations.needed_call import why_plan
 from planner_bridge.explanations.no_plan import SECONDS, AnswerLimit, why_no_plan
+from planner_bridge.explanations.traps import why_not_short
 from planner_bridge.model.grounding import problem_now
 from planner_bridge.model.plan import PlanningResult, PlanningStatus
 from planner_bridge.model.problem import Problem
@@ -48,7 +49,8 @@ def answered(text: str, world: KnowledgeBase) -> tuple[Answer, ...]:
 def why_goal(problem: Problem, found: PlanningResult, limit: AnswerLimit) -> tuple[Answer, ...]:
     """Return the purpose of each call of a plan; or why there is none, and what would help."""
     if found.plan is not None:
-        return (why_plan(problem, found.plan),)
+        short = why_not_short(problem, found.plan, limit) if found.policy else None
+        return tuple(filter(None, (why_plan(problem, found.plan), short)))
     reason = why_no_plan(problem, found, limit)
     return reason, what_would_help(problem, limit, reason)
 

@@ -15,6 +15,7 @@ from typing import Final, TypeAlias
 
 from planner_bridge.explanations.answer import Answer, Best, Claim, Fails, Known, Solves, Unsolvable, listed
 from planner_bridge.explanations.no_plan import AnswerLimit, why_no_plan, why_unreachable
+from planner_bridge.explanations.traps import why_trap
 from planner_bridge.model.forbidden_actions import unused_name
 from planner_bridge.model.grounding import ground_action, initial_knowledge
 from planner_bridge.model.plan import Plan, PlanningResult, PlanningStatus, PlanStep
@@ -260,6 +261,8 @@ def why_not(problem: Problem, action: PlanStep, found: PlanningResult, limit: An
         what = "a network of tasks" if problem.has_tasks else "a preference of the action"
         return Answer(f"whether a plan can use {action} was not looked at: there is {what}", Known.NOT_PROVED, now)
     result = limit.solve(asked.problem, share=0.6, improve=_IMPROVE)
+    if problem.domain.uncertain and found.plan and result.plan and (trap := why_trap(problem, found.plan, asked.plan(result.plan), limit)):
+        return replace(trap, reasons=(*trap.reasons, *now))
     if result.plan and found.plan:
         better = limit.solve(problem, share=0.8, improve=_IMPROVE).plan or found.plan
         return _compared(problem, asked, better, result.plan, now)

@@ -1,0 +1,73 @@
+"""Why a policy does not take the short way: what is said to have no way out has none."""
+
+from __future__ import annotations
+
+from hypothesis import given, settings, strategies as st
+
+from planner_bridge.explanations.answer import Answer, Known, Unsolvable
+from planner_bridge.explanations.goal_now import why_goal
+from planner_bridge.explanations.needed_call import why_not
+from planner_bridge.explanations.no_plan import AnswerLimit
+from planner_bridge.explanations.traps import why_not_short
+from planner_bridge.model.grounding import initial_knowledge
+from planner_bridge.model.plan import PlanStep
+from planner_bridge.model.problem import Problem
+from planner_bridge.pddl.reader import parse_domain, parse_problem
+from planner_bridge.planning.policies.policy import policies
+from tests.support.pddl.chance import Exact, texts
+
+TIRES = parse_domain("""
+(define (domain tires) (:requirements :typing :non-deterministic) (:types place)
+  (:predicates (car ?p - place) (spare ?p - place) (road ?p ?q - place) (flat))
+  (:action drive :parameters (?p ?q - place) :precondition (and (car ?p) (road ?p ?q) (not (flat)))
+    :effect (and (car ?q) (not (car ?p)) (oneof (and) (flat))))
+  (:action change :parameters (?p - place) :precondition (and (car ?p) (spare ?p)) :effect (and (not (spare ?p)) (not (flat)))))
+""")
+TRAP = "drive(a, b) leads with 50% to a state without a way out: "
+
+
+def tires(spares: str) -> Problem:
+    roads = "(road a b) (road b z) (road a c) (road c d) (road d z)"
+    text = f"(define (problem p) (:domain tires) (:objects a b c d z - place) (:init (car a) {spares} {roads}) (:goal (car z)))"
+    return parse_problem(text, TIRES)
+
+
+def check(answer: Answer) -> None:
+    """Check by looking at all states that those of the claims have no way out."""
+    assert answer.claims
+    for claim in answer.claims:
+        assert isinstance(claim, Unsolvable)
+        assert Exact(claim.problem).best_chance == 0.0
+
+
+def test_the_short_way_is_not_taken_because_of_a_flat_tire_without_a_spare() -> None:
+    problem, limit = tires("(spare c) (spare d)"), AnswerLimit.of(60.0)
+    found = limit.first_plan(problem)
+    plan, short = why_goal(problem, found, limit)
+    assert plan.statement.startswith("there is a plan with 3 calls")
+    assert short.statement.startswith("there is a way with 2 calls, but ")
+    other = why_not(problem, PlanStep("drive", ("a", "b")), found, limit)
+    assert "(spare b) is false, and no action changes that" in str(other)
+    for answer in (short, other):
+        assert answer.statement[answer.statement.index("drive") :] == f"{TRAP}(flat) and (car b) are true"
+        assert answer.known is Known.RELAXATION
+        check(answer)
+
+
+def test_what_the_policy_risks_itself_is_no_reason() -> None:
+    problem, limit = tires(""), AnswerLimit.of(60.0)
+    found = limit.first_plan(problem)
+    assert len(why_goal(problem, found, limit)) == 1
+    other = why_not(problem, PlanStep("drive", ("a", "c")), found, limit)
+    assert other.statement.startswith("drive(a, c) leads with 50%")
+
+
+@settings(max_examples=100)
+@given(st.integers(0, 10**9))
+def test_what_is_said_to_have_no_way_out_has_none(seed: int) -> None:
+    domain, of_problem = texts(seed)
+    problem = parse_problem(of_problem, parse_domain(domain))
+    *_, best = [None, *policies(problem, 60.0)]
+    plan = best and best.plan(initial_knowledge(problem))
+    if plan and (answer := why_not_short(problem, plan, AnswerLimit.of(60.0))):
+        check(answer)
