@@ -101,6 +101,10 @@ class Policy(Protocol):
     """Says what to do wherever the outcomes of actions may lead."""
 
     @property
+    def problem(self) -> Problem:
+        """The problem whose goal it reaches, from whatever state."""
+
+    @property
     def entries(self) -> tuple[tuple[Any, ...], ...]:
         """All that it says, as values that a journal keeps."""
 

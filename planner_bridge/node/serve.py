@@ -246,7 +246,7 @@ class ServingNode:
             assert beside is not None
             beside_tasks.append(Learner(context.place, self._options.rates or beside.parent / RATES))
         if self._options.odds and (known := KnownRobots(manager.settings.learned)):
-            beside_tasks.append(Foreteller(manager, known))
+            beside_tasks.append(Foreteller(manager, known, runner.world))
         for work in beside_tasks:
             manager.listen(work)
             stack.push_async_callback(work.close)

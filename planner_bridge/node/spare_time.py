@@ -11,8 +11,13 @@ from typing import Final
 from uuid import UUID
 
 from planner_bridge.explanations.learning import learn_into
-from planner_bridge.pipeline.odds import KnownRobots, RestOfPlan
+from planner_bridge.model.grounding import problem_now
+from planner_bridge.model.plan import Policy
+from planner_bridge.model.problem import Problem
+from planner_bridge.pipeline.odds import KnownRobots
+from planner_bridge.pipeline.policy_odds import RestOfPlan
 from planner_bridge.tasks.task_manager import TaskManager
+from pnm.core.knowledge_base import KnowledgeBase
 from pnm.errors import PnmError
 from pnm.files.database.place import Place
 from pnm.tasks import EVENTS, TaskEnding, TaskListener, TraceEvent, TraceKind
@@ -82,28 +87,37 @@ class Learner(SpareTime):
 class Foreteller(SpareTime):
     """Works out the odds of what is left of the plans of tasks, when a task has another one, or a call has begun or ended.
 
-    The mutable state is which tasks these are.
+    The mutable state is which tasks these are, and the policies of tasks, with the problem where the last stretch has begun.
     """
 
-    def __init__(self, tasks: TaskManager, known: KnownRobots) -> None:
-        self._tasks, self._known, self._due = tasks, known, dict[UUID, None]()
+    def __init__(self, tasks: TaskManager, known: KnownRobots, world: KnowledgeBase) -> None:
+        self._tasks, self._known, self._world, self._due = tasks, known, world, dict[UUID, None]()
+        self._policies = dict[UUID, tuple[Policy, Problem]]()
         super().__init__()
 
     def planned(self, task: UUID) -> None:
         """Work them out."""
+        self._policies.pop(task, None)
+        if (control := self._tasks.control_of(task)) is not None and control.policy is not None:
+            self._policies[task] = control.policy, problem_now(control.policy.problem, self._world)
         self._due[task] = None
         self.news.set()
+
+    def ended(self, task: UUID, ending: TaskEnding) -> None:
+        """Forget the task."""
+        self._policies.pop(task, None)
 
     def happened(self, moment: TraceEvent) -> None:
         """Work them out if it is about a call."""
         if moment.kind in (TraceKind.SENT, TraceKind.ENDED, TraceKind.FAILED):
-            self.planned(moment.task)
+            self._due[moment.task] = None
+            self.news.set()
 
     async def work(self) -> None:
         """Work out what is due."""
         due, self._due = self._due, {}
         for task in due:
-            if (run := self._tasks.run_of(task)) is not None:
+            if (control := self._tasks.control_of(task)) is not None and (run := control.run) is not None:
                 rest = RestOfPlan.of(run, asyncio.get_running_loop().time())
-                odds = await asyncio.to_thread(rest.odds, self._known)
+                odds = await asyncio.to_thread(rest.odds, self._known, *self._policies.get(task, ()))
                 self._tasks.foretell(task, odds.told if odds else None, rest.now)

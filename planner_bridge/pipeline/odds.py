@@ -22,8 +22,6 @@ from planner_bridge.model.progression import NotApplicable, Progression, snapsho
 from planner_bridge.model.rates import NO_RATES, Call, End, Rates, wilson
 from pnm.actions.faults import NO_FAULTS, Fault, FaultKind, Faults
 from pnm.actions.simulated_robots import LAG, SLOWNESS
-from pnm.core.execution.call_results import CallResult
-from pnm.core.execution.run_view import RunView
 from pnm.core.knowledge_base import KnowledgeBase
 from pnm.core.logic.conditions import evaluate
 from pnm.core.logic.effects import Set, names_written
@@ -31,7 +29,6 @@ from pnm.core.logic.expressions import Arithmetic, Constant, Fluent, fluent_text
 from pnm.core.machine.bindings import Bindings, WhenLost, is_open
 from pnm.core.machine.failure_causes import Cause
 from pnm.core.machine.plan_graph import ActionCall, GroundAction, Moment, PlanEvent, PlanGraph, necessary
-from pnm.core.machine.requests import CallOutcome
 from pnm.tasks import TaskOdds, percent
 
 DRAWS: Final = 1000
@@ -40,11 +37,6 @@ WEAKEST: Final = 3
 """Calls that are named as the weakest, at most."""
 INTERVAL_DRAWS: Final = 400
 """Draws of chances that were estimated."""
-_DRAWS_OF_CALLS: Final = 20_000
-"""Draws of all calls together of what is left of a plan while it is carried out, and `_LEAST_DRAWS` of each."""
-_LEAST_DRAWS: Final = 50
-_AS_PLANNED: Final = {CallOutcome.WAITING, CallOutcome.RUNNING, CallOutcome.SUSPENDED, CallOutcome.SUCCEEDED, CallOutcome.ALREADY_TRUE}
-"""What becomes of calls as long as nothing else has to follow than their plan."""
 
 
 class Leads(Enum):
@@ -326,65 +318,6 @@ def times(graph: PlanGraph, calls: tuple[CallOdds, ...], count: int = DRAWS, beg
         at[event] = list(map(max, *before)) if len(before) > 1 else before[0]
     due = [max(0.0, graph.due + began)] * count
     return list(map(max, due, due, *(at[event] for event in at if event.moment is Moment.END)))
-
-
-@dataclass(frozen=True)
-class RestOfPlan:
-    """How far a run has come.
-
-    Args:
-        results: of its calls, by number.
-        accepted: when servers took on what is under way.
-        origin: the time from which its plan counts.
-        now: the time on the same clock.
-    """
-
-    graph: PlanGraph
-    bindings: Bindings
-    results: Mapping[int, CallResult]
-    accepted: Mapping[int, float]
-    origin: float
-    now: float
-
-    @staticmethod
-    def of(run: RunView, since: float) -> RestOfPlan:
-        """Return how far a run has come, at the time of the last event of its calls, or since when it is so at least."""
-        plan = run.machine.plan
-        calls = [run.result_of(call.index) for call in plan.calls]
-        accepted = {request.call.index: request.accepted for request in run.under_way()}
-        events = [time for call in calls for time in (call.started, call.ended) if time is not None]
-        now = max(since, run.origin or since, *events, *accepted.values())
-        results = {result.call.index: result for result in calls}
-        return RestOfPlan(plan, run.bindings, results, accepted, now if run.origin is None else run.origin, now)
-
-    def odds(self, known: KnownRobots) -> GoalOdds | None:
-        """Return the odds of what is left of its plan; None if there are none, or something has failed, and something else follows.
-
-        The more calls are left, the fewer draws each has.
-        """
-        is_timed = any(call.action.duration is not None for call in self.graph.calls)
-        found = odds_of_calls(self.graph, self.bindings, known.attempts(self.bindings, is_timed=is_timed))
-        if found is None or any(call.call.action.outcomes for call in found):  # what follows depends on which one it is
-            return None
-        if not {result.kind for result in self.results.values()} <= _AS_PLANNED:
-            return None
-
-        def left_of(odds: CallOdds) -> CallOdds:
-            if (result := self.results[odds.call.index]).kind is CallOutcome.WAITING:
-                return odds
-            began = 0.0 if result.started is None else result.started - self.now
-            if result.is_done:
-                return replace(odds, began=began, ended=0.0 if result.ended is None else result.ended - self.now)
-            at_work = self.now - self.accepted.get(odds.call.index, self.now)
-            spent = result.attempts - (result.kind is not CallOutcome.SUSPENDED)
-            return replace(odds, began=began, retries=max(0, odds.retries - spent), at_work=at_work)
-
-        calls = tuple(map(left_of, found))
-        left = tuple(call for call in calls if call.ended is None)
-        chance = prod(call.chance() for call in left)
-        count = max(_LEAST_DRAWS, min(DRAWS, _DRAWS_OF_CALLS // max(1, len(left))))
-        lasts = tuple(sorted(times(self.graph, calls, count, self.origin - self.now))) if chance else ()
-        return GoalOdds(Odds(chance, (chance, chance), lasts), None, left)
 
 
 # --- what attempts rest on -----------------------------------------------------------------------

@@ -3,6 +3,8 @@
 A stretch is a plan, whose calls have exact odds. It ends in one of the outcomes of its last call, by their chances: the declared ones,
 or else all are as likely. If all calls of it succeed, the policy says what follows; a failure for good ends the chain, because what is
 planned then is no part of the policy. The chance and the number of calls are solved exactly, and times are drawn along the chain.
+
+While a plan is carried out, what is left of it comes first.
 """
 
 from __future__ import annotations
@@ -22,13 +24,28 @@ from planner_bridge.model.plan import Policy
 from planner_bridge.model.problem import Problem
 from planner_bridge.model.progression import NotApplicable, Progression, snapshot
 from planner_bridge.ordering.plan_to_graph import stretch_graph
-from planner_bridge.pipeline.odds import DRAWS, INTERVAL_DRAWS, Attempts, CallKind, CallOdds, Odds, interval, odds_of_calls, times
+from planner_bridge.pipeline.odds import (
+    DRAWS,
+    INTERVAL_DRAWS,
+    Attempts,
+    CallKind,
+    CallOdds,
+    GoalOdds,
+    KnownRobots,
+    Odds,
+    interval,
+    odds_of_calls,
+    times,
+)
+from pnm.core.execution.call_results import CallResult
+from pnm.core.execution.run_view import RunView
 from pnm.core.knowledge_base import KnowledgeBase
 from pnm.core.logic.conditions import evaluate
 from pnm.core.logic.effects import Alternative
 from pnm.core.logic.expressions import Fluent
 from pnm.core.machine.bindings import Bindings
 from pnm.core.machine.plan_graph import PlanGraph
+from pnm.core.machine.requests import CallOutcome
 
 MOST_STATES: Final = 200
 """States between stretches, at most."""
@@ -49,6 +66,13 @@ class Stretch:
     graph: PlanGraph
     calls: tuple[CallOdds, ...]
     leads: Mapping[int, float]
+    began: float = 0.0
+    """Seconds from now, so not above 0."""
+
+    @property
+    def left(self) -> tuple[CallOdds, ...]:
+        """The calls that have not ended."""
+        return tuple([call for call in self.calls if call.ended is None])
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,8 +82,14 @@ class PolicyChain:
     stretches: tuple[Stretch, ...]
 
     @staticmethod
-    def of(problem: Problem, policy: Policy, bindings: Bindings, attempts: Attempts, most: int = MOST_STATES) -> PolicyChain | None:
-        """Return the chain; None if calls have no exact odds, there are more states, or nothing tells some outcomes apart."""
+    def of(
+        problem: Problem, policy: Policy, bindings: Bindings, attempts: Attempts, most: int = MOST_STATES, begun: Stretch | None = None
+    ) -> PolicyChain | None:
+        """Return the chain; None if calls have no exact odds, there are more states, or nothing tells some outcomes apart.
+
+        Args:
+            begun: the first stretch, which began in the initial state, without what it leads to.
+        """
         if any(untold(problem, bindings, bindings.assumed)):
             return None
         facts = dynamic_names(problem) - problem.domain.functions.keys()
@@ -74,17 +104,21 @@ class PolicyChain:
                 states.append(state)
             return numbers[key]
 
-        number(initial_knowledge(problem))
+        first = initial_knowledge(problem)
+        if begun:
+            states.append(first)  # whoever comes there again begins it anew
+        else:
+            number(first)
         found: list[Stretch] = []
         for state in states:
-            plan = policy.stretch(state)
-            graph = stretch_graph(problem_now(problem, state), plan) if plan else PlanGraph(())
-            calls = odds_of_calls(graph, bindings, attempts)
+            plan = None if begun else policy.stretch(state)
+            graph = begun.graph if begun else stretch_graph(problem_now(problem, state), plan) if plan else PlanGraph(())
+            calls = begun.calls if begun else odds_of_calls(graph, bindings, attempts)
             if calls is None or len(states) > most:
                 return None
-            leads: dict[int, float] = defaultdict(float) if plan else {_NOWHERE: 1.0}
+            leads: dict[int, float] = defaultdict(float) if graph.calls else {_NOWHERE: 1.0}
             ways = next((call.action.outcomes for call in graph.calls if call.action.outcomes), (Alternative(()),))
-            for way in ways if plan else ():
+            for way in ways if graph.calls else ():
                 walk = Progression(snapshot(state))
                 try:
                     for event in graph.order:
@@ -93,13 +127,14 @@ class PolicyChain:
                 except NotApplicable:
                     return None
                 leads[number(walk.state)] += 1.0 / len(ways) if way.chance is None else way.chance
-            found.append(Stretch(graph, calls, leads))
+            found.append(Stretch(graph, calls, leads, begun.began if begun else 0.0))
+            begun = None
         return PolicyChain(tuple(found))
 
     @property
     def calls(self) -> tuple[CallOdds, ...]:
         """All calls, each once."""
-        return tuple({str(call.call.action): call for stretch in self.stretches for call in stretch.calls}.values())
+        return tuple({(str(call.call.action), call.kind): call for stretch in self.stretches for call in stretch.left}.values())
 
     def odds(self) -> Odds:
         """Return the odds of the goal."""
@@ -117,8 +152,8 @@ class PolicyChain:
         """
         rows: list[dict[int, complex]] = []
         for stretch in self.stretches:
-            chance = prod(success[call.kind] for call in stretch.calls)
-            row = {after: chance * share * (1.0 + 1j * _STEP * len(stretch.calls)) for after, share in stretch.leads.items()}
+            chance = prod(success[call.kind] for call in stretch.left)
+            row = {after: chance * share * (1.0 + 1j * _STEP * len(stretch.left)) for after, share in stretch.leads.items()}
             rows.append({**row, _NOWHERE: row.get(_NOWHERE, 0.0) + 1.0 - chance})
         for number in reversed(range(len(rows))):
             row = rows[number]
@@ -140,7 +175,7 @@ class PolicyChain:
 
         @cache
         def lasts(number: int) -> list[float]:
-            return times(self.stretches[number].graph, self.stretches[number].calls, draws)
+            return times(self.stretches[number].graph, self.stretches[number].calls, draws, self.stretches[number].began)
 
         @cache
         def leads(number: int) -> tuple[tuple[int, ...], list[float]]:
@@ -157,3 +192,89 @@ class PolicyChain:
                 (at,) = random.choices(ends, weights)
             found.append(seconds)
         return tuple(sorted(found))
+
+
+# --- what is left of a plan -----------------------------------------------------------------------
+
+
+_DRAWS_OF_CALLS: Final = 20_000
+"""Draws of all calls together of what is left of a plan while it is carried out, and `_LEAST_DRAWS` of each."""
+_LEAST_DRAWS: Final = 50
+_AS_PLANNED: Final = {CallOutcome.WAITING, CallOutcome.RUNNING, CallOutcome.SUSPENDED, CallOutcome.SUCCEEDED, CallOutcome.ALREADY_TRUE}
+"""What becomes of calls as long as nothing else has to follow than their plan."""
+
+
+@dataclass(frozen=True)
+class RestOfPlan:
+    """How far a run has come.
+
+    Args:
+        results: of its calls, by number.
+        accepted: when servers took on what is under way.
+        origin: the time from which its plan counts.
+        now: the time on the same clock.
+    """
+
+    graph: PlanGraph
+    bindings: Bindings
+    results: Mapping[int, CallResult]
+    accepted: Mapping[int, float]
+    origin: float
+    now: float
+
+    @staticmethod
+    def of(run: RunView, since: float) -> RestOfPlan:
+        """Return how far a run has come, at the time of the last event of its calls, or since when it is so at least."""
+        plan = run.machine.plan
+        calls = [run.result_of(call.index) for call in plan.calls]
+        accepted = {request.call.index: request.accepted for request in run.under_way()}
+        events = [time for call in calls for time in (call.started, call.ended) if time is not None]
+        now = max(since, run.origin or since, *events, *accepted.values())
+        results = {result.call.index: result for result in calls}
+        return RestOfPlan(plan, run.bindings, results, accepted, now if run.origin is None else run.origin, now)
+
+    def attempts(self, known: KnownRobots) -> Attempts:
+        """Return what is known of the attempts of its calls."""
+        return known.attempts(self.bindings, is_timed=any(call.action.duration is not None for call in self.graph.calls))
+
+    def calls(self, known: KnownRobots) -> tuple[CallOdds, ...] | None:
+        """Return the odds of its calls; None if there are none, or something has failed, and something else follows."""
+        found = odds_of_calls(self.graph, self.bindings, self.attempts(known))
+        if found is None or not {result.kind for result in self.results.values()} <= _AS_PLANNED:
+            return None
+
+        def left_of(odds: CallOdds) -> CallOdds:
+            if (result := self.results[odds.call.index]).kind is CallOutcome.WAITING:
+                return odds
+            began = 0.0 if result.started is None else result.started - self.now
+            if result.is_done:
+                return replace(odds, began=began, ended=0.0 if result.ended is None else result.ended - self.now)
+            at_work = self.now - self.accepted.get(odds.call.index, self.now)
+            spent = result.attempts - (result.kind is not CallOutcome.SUSPENDED)
+            return replace(odds, began=began, retries=max(0, odds.retries - spent), at_work=at_work)
+
+        return tuple(map(left_of, found))
+
+    def odds(self, known: KnownRobots, policy: Policy | None = None, began: Problem | None = None) -> GoalOdds | None:
+        """Return the odds of what is left of its plan, and of what its policy has after it; None if there are none.
+
+        The more calls are left, the fewer draws each has.
+
+        Args:
+            policy: says what follows where its last call has several outcomes.
+            began: the problem from the state in which the run began.
+        """
+        calls = self.calls(known)
+        if calls is None:
+            return None
+        since, left = self.origin - self.now, tuple([call for call in calls if call.ended is None])
+        if any(call.call.action.outcomes for call in calls):
+            if policy is None or began is None or not any(call.call.action.outcomes for call in left):
+                return None  # it is not known what follows, or not yet how it has turned out
+            begun = Stretch(self.graph, calls, {}, since)
+            chain = PolicyChain.of(began, policy, self.bindings, self.attempts(known), begun=begun)
+            return GoalOdds(chain.odds(), None, chain.calls) if chain else None
+        chance = prod(call.chance() for call in left)
+        count = max(_LEAST_DRAWS, min(DRAWS, _DRAWS_OF_CALLS // max(1, len(left))))
+        lasts = tuple(sorted(times(self.graph, calls, count, since))) if chance else ()
+        return GoalOdds(Odds(chance, (chance, chance), lasts), None, left)

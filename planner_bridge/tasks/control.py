@@ -9,6 +9,7 @@ from contextlib import contextmanager, suppress
 from math import ulp
 from typing import Final, Protocol, TypeVar
 
+from planner_bridge.model.plan import Policy
 from planner_bridge.ordering.interference import Forecast, ReadWriteSets, read_write_sets
 from planner_bridge.tasks.settings import TaskObserver
 from pnm.clock import TimeLimit
@@ -79,6 +80,8 @@ class TaskControl:
         self.execution: Execution | None = None
         self.reserved: Callable[[], ReadWriteSets] | None = None
         """The footprint of the plan found last, computed if another task needs it: others respect it before the plan is executed."""
+        self.policy: Policy | None = None
+        """What the plan found last is the beginning of, if actions have several outcomes."""
         self.awaits_help = False
         """Whether a person is asked for help, without which the task does not go on."""
         self.planner_stop = threading.Event()

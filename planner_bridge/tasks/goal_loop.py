@@ -350,7 +350,7 @@ class GoalLoop:
         """Decide what follows the run. A failure makes nothing needless, but facts that have changed may."""
         context, progress, now, world = self._context, execution.progress, self._monitor.now(), snapshot(self._context.present)
         has_failed, limits, unusable = execution.is_over or execution.result.failures, context.settings.limits, context.unusable(history)
-        set_off_by, better, policy = execution.set_off_by, self._search.better_than(progress), self._search.policy
+        set_off_by, better, policy = execution.set_off_by, self._search.better_than(progress), self._control.policy
         is_stretch = execution.is_over and execution.result.goal and progress.plan.goal == TRUE != now.goal
 
         def decision() -> tuple[Decision, History]:

@@ -115,7 +115,7 @@ class _EitherToken:
 class PlanSearch:
     """Searches for plans of one task.
 
-    The mutable state is when the last search began, whether one has found a plan, its policy, and whether it is proved to be the best; a
+    The mutable state is when the last search began, whether one has found a plan, and whether it is proved to be the best; a
     search that is ahead; the search for a better rest, and what it has found.
     """
 
@@ -126,8 +126,7 @@ class PlanSearch:
         self.origin = 0.0
         """The time from which the times of the plan count."""
         notes = notes_of(kept, PolicyNote) if kept else []
-        self.policy = notes[-1].policy(context.problem) if notes else None
-        """What the last plan is the beginning of, if actions have several outcomes."""
+        self._control.policy = notes[-1].policy(context.problem) if notes else None
         self._has_found = False
         self._ahead: _SearchAhead | None = None
         self._is_best = False
@@ -340,8 +339,8 @@ class PlanSearch:
             context.observer.unplanned(result)
         else:
             self._has_found, self._is_best = True, result.plan.is_best
-            if (result.policy or self.policy) is not None:
-                self.policy = result.policy
+            if (result.policy or self._control.policy) is not None:
+                self._control.policy = result.policy
                 context.note(PolicyNote.of(result.policy))
             needed = _needed(now, result.plan, going_on)
             conflicts = context.scheduler.conflicts(context.task, needed)

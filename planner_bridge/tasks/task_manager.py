@@ -19,14 +19,13 @@ from uuid import UUID
 from planner_bridge.model.grounding import later, problem_now
 from planner_bridge.model.problem import Problem
 from planner_bridge.tasks.context import PlanningQueue, Preemption, TaskContext
-from planner_bridge.tasks.control import Watchdog
+from planner_bridge.tasks.control import TaskControl, Watchdog
 from planner_bridge.tasks.result import Stopwatch, TaskResult, join_reasons
 from planner_bridge.tasks.settings import OnChange, Settings, TaskObserver
 from planner_bridge.tasks.task import StartTask, Task
 from planner_bridge.tasks.task_start import TaskText, read_text, start_of
 from pnm.clock import stop_then_cancel
 from pnm.core.execution.events import broadcast
-from pnm.core.execution.run_view import RunView
 from pnm.core.knowledge_base import Layered
 from pnm.core.logic.conditions import Condition
 from pnm.core.machine.machine import PetriNetMachine
@@ -245,9 +244,9 @@ class TaskManager:
         """Return the number of nets that the task has had before, the net that it has now, and its marking."""
         return self._tasks[task].net if task in self._tasks else None
 
-    def run_of(self, task: UUID) -> RunView | None:
-        """Return the run of a task; None while it has none."""
-        return self._tasks[task].control.run if task in self._tasks else None
+    def control_of(self, task: UUID) -> TaskControl | None:
+        """Return the control of a task; None if it is over."""
+        return self._tasks[task].control if task in self._tasks else None
 
     def foretell(self, task: UUID, odds: TaskOdds | None, at: float) -> None:
         """Note the odds of what is left of the plan of a task, and the time at which they are so."""

@@ -19,7 +19,8 @@ from typing import Any, Final, TypeAlias
 from uuid import UUID
 
 from planner_bridge.explanations.history import Attempt, JournalHistory, RunHistory, TaskHistory, Trouble
-from planner_bridge.pipeline.odds import NOTHING_KNOWN, KnownRobots, RestOfPlan
+from planner_bridge.pipeline.odds import NOTHING_KNOWN, KnownRobots
+from planner_bridge.pipeline.policy_odds import RestOfPlan
 from planner_bridge.tasks.replanning import decision_words
 from pnm.core.execution.call_results import CallResult, Failure
 from pnm.core.execution.events import Answered, Ask, Restarted, Withdraw

@@ -8,17 +8,21 @@ import pytest
 from hypothesis import given, settings, strategies as st
 
 from planner_bridge.model import plan
+from planner_bridge.model.grounding import initial_knowledge
 from planner_bridge.model.problem import Problem
+from planner_bridge.ordering.plan_to_graph import stretch_graph
 from planner_bridge.pddl import parse_domain, parse_problem
 from planner_bridge.pipeline.odds import KnownRobots, Odds
-from planner_bridge.pipeline.policy_odds import PolicyChain
+from planner_bridge.pipeline.policy_odds import PolicyChain, RestOfPlan
 from planner_bridge.pipeline.roll_outs import odds_of_goal
 from planner_bridge.planning.policies.policy import Policy, PolicyEntry, policies
 from planner_bridge.planning.solve import solve
 from planner_bridge.tasks.replanning import Limits
 from planner_bridge.tasks.settings import Settings
 from pnm.actions.faults import Fault, FaultKind, Faults
+from pnm.core.execution.call_results import CallResult
 from pnm.core.machine.bindings import Binding, Bindings
+from pnm.core.machine.requests import CallOutcome
 from tests.support.pddl.chance import Exact, texts
 
 ABORTS = Fault("knock", FaultKind.ABORT, chance=0.2)
@@ -61,6 +65,29 @@ def test_a_trap_takes_its_chance_and_even_ones_are_said_to_be() -> None:
         assert odds is not None
         assert odds.chance == pytest.approx(0.5)
         assert odds.actions == pytest.approx(1.5)
+
+
+def test_what_is_left_of_a_stretch_comes_before_what_the_policy_has_after_it() -> None:
+    problem, twice = door("(probabilistic 0.25 (open))"), Bindings({"knock": Binding(retries=1)})
+    policy, known = solve(problem).policy, KnownRobots(faults=Faults((ABORTS,)))
+    assert policy is not None
+    stretch = policy.stretch(initial_knowledge(problem))
+    assert stretch is not None
+    graph = stretch_graph(problem, stretch)
+    (call,) = graph.calls
+    whole = 0.96 * 0.25 / (1.0 - 0.96 * 0.75)
+    for result, first in (
+        (CallResult(call), 0.96),
+        (CallResult(call, CallOutcome.RUNNING, 1, 4.0), 0.96),
+        (CallResult(call, CallOutcome.RUNNING, 2, 4.0), 0.8),
+    ):
+        odds = RestOfPlan(graph, twice, {0: result}, {}, 0.0, 5.0).odds(known, policy, problem)
+        assert odds is not None
+        assert odds.told is not None
+        assert odds.told.chance == pytest.approx(first * (0.25 + 0.75 * whole))
+        assert odds.told.rests == "declared: knock; declared outcomes: knock"
+    over = CallResult(call, CallOutcome.SUCCEEDED, 1, 4.0, 5.0, declared="1")
+    assert RestOfPlan(graph, twice, {0: over}, {}, 0.0, 5.0).odds(known, policy, problem) is None
 
 
 def test_exact_odds_are_those_of_runs_of_the_machine() -> None:

@@ -8,7 +8,8 @@ import pytest
 
 from planner_bridge.ordering.plan_to_graph import plan_graph
 from planner_bridge.pddl import parse_domain, parse_problem
-from planner_bridge.pipeline.odds import KnownRobots, RestOfPlan, exact, odds_of_calls
+from planner_bridge.pipeline.odds import KnownRobots, exact, odds_of_calls
+from planner_bridge.pipeline.policy_odds import RestOfPlan
 from planner_bridge.pipeline.roll_outs import odds_of_goal
 from planner_bridge.planning.solve import solve
 from planner_bridge.tasks.settings import Settings

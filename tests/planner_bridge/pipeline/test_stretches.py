@@ -119,7 +119,7 @@ class Known(Memory):
 class Picks:
     """Lifts what has fallen, and picks what stands."""
 
-    entries, chance, is_proved = (), 1.0, False
+    entries, chance, is_proved, problem = (), 1.0, False, cups()
 
     def stretch(self, state: State, /) -> Plan | None:
         lifted = (PlanStep("lift", ("mug",)),) if state.value(("floor", "mug")) else ()
