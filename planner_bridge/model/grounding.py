@@ -90,8 +90,8 @@ def initial_knowledge(*described: Problem | HandWrittenPlan) -> KnowledgeBase:
 
 
 def dynamic_names(problem: ProblemModel) -> frozenset[str]:
-    """Return the predicates and functions that actions or timed changes may alter."""
-    actions = (names_written((*schema.start_effects, *schema.end_effects)) for schema in problem.domain.actions.values())
+    """Return the predicates and functions that may change: by actions, by processes and events, or at a time."""
+    actions = (names_written((*schema.start_effects, *schema.end_effects)) for schema in problem.domain.schemas)
     timed = (frozenset(fluent[0] for fluent in change.changes) for change in problem.timed)
     return frozenset().union(*actions, *timed)
 

@@ -1,4 +1,4 @@
-"""PDDL actions, instantaneous and durative: from their sections to `ActionSchema`.
+"""PDDL actions, instantaneous and durative, processes and events: from their sections to `ActionSchema`.
 
 The conditions and effects of a durative action are sorted by their time specifiers: at start, over all, at end.
 """
@@ -35,6 +35,8 @@ Timed: TypeAlias = dict[TimeSpecifier, list[T]]
 
 INSTANTANEOUS: Final = ":action"
 DURATIVE: Final = ":durative-action"
+PROCESS: Final = ":process"
+EVENT: Final = ":event"
 _VARS: Final = ":vars"
 """Of an early PDDL: variables that are no parameters, but have to be chosen just the same."""
 _INSIDE: Final = ("or", "not", "imply", "exists")
@@ -42,14 +44,14 @@ _INSIDE: Final = ("or", "not", "imply", "exists")
 
 
 def actions(sections: Iterable[Group], symbols: SymbolTable) -> dict[str, ActionSchema]:
-    """Read the actions in the order of the file."""
+    """Read the actions, the processes or the events in the order of the file."""
     schemas: dict[str, ActionSchema] = {}
     first: dict[str, Group] = {}
     named: list[tuple[str, Group]] = []
     for section in sections:
         if not section.rest:
             raise wrong(section, f"expected a name after '{section.head}', found nothing")
-        named.append((new_name(section.rest[0], "action"), section))
+        named.append((new_name(section.rest[0], section.head[1:]), section))
         first.setdefault(named[-1][0].lower(), section)
     for name, section in named:
         if first[name.lower()] is not section:
@@ -60,13 +62,17 @@ def actions(sections: Iterable[Group], symbols: SymbolTable) -> dict[str, Action
         if section.head == DURATIVE:
             schemas[name] = _durative(name, section, symbols)
             continue
-        parts = keyed(section.rest[1:], f"the action {name!r}", (":parameters", ":precondition", ":effect", _VARS))
+        parts = keyed(section.rest[1:], f"the {section.head[1:]} {name!r}", (":parameters", ":precondition", ":effect", _VARS))
         parameters = _parameters(parts, symbols)
-        scope = TermScope(symbols).inside(parameters)
+        scope = TermScope(symbols, rates=section.head == PROCESS).inside(parameters)
         empty = Group((), section.offset, section.source)
         precondition, preferences = split_preferences(parts.get(":precondition", empty), scope)
         changes = effects(parts.get(":effect", empty), scope)
         schemas[name] = ActionSchema(name, parameters, precondition=precondition, end_effects=changes, preferences=preferences)
+        if section.head != INSTANTANEOUS:
+            symbols.requirements.need(section, ":time", ":processes" if section.head == PROCESS else ":events")
+            if preferences or has_outcomes(changes):
+                raise wrong(section, f"{name} happens by itself; preferences and several outcomes are for actions")
     for schema, (_, section) in zip(schemas.values(), named, strict=True):
         if has_outcomes(schema.end_effects):
             try:

@@ -49,6 +49,8 @@ class TermScope:
     """By name in lower case."""
     duration: bool = False
     """Whether ``?duration`` may be used."""
+    rates: bool = False
+    """Whether effects are those of a process: changes of numbers, ``(increase FUNCTION (* #t RATE))``."""
     metric: bool = False
     """Whether ``total-time`` and ``(is-violated PREFERENCE)`` may be used."""
 
@@ -310,6 +312,10 @@ def is_reward(node: Node, scope: TermScope) -> bool:
 
 def _change(node: Group, scope: TermScope) -> Set:
     match node.head:
+        case operation if scope.rates and operation not in ("increase", "decrease"):
+            raise wrong(
+                node, f"a process changes numbers as time passes; expected (increase FUNCTION (* #t RATE)) or decrease, found {node}"
+            )
         case "not":
             return Set(_changed_fact(operands(node, 1)[0], scope), Constant(False))
         case operation if operation in OPERATIONS:
@@ -331,7 +337,14 @@ def _new_value(node: Group, target: Node, value: Node, scope: TermScope) -> Expr
     if not declared.values:
         cost = node.head == "increase" and declared.name.lower() == TOTAL_COST and not (isinstance(value, Group) and value.head in OPERANDS)
         scope.symbols.requirements.need(node, *((":action-costs",) if cost else ()), ":numeric-fluents")
-        return scope.expression(value)
+        if not scope.rates:
+            return scope.expression(value)
+        factors = value.rest if isinstance(value, Group) and value.head == "*" else (value,)
+        rate = [part for part in factors if not (isinstance(part, Atom) and part.key == "#t")]
+        if len(rate) != len(factors) - 1:
+            raise wrong(value, f"expected a change in a second, (* #t RATE), found {value}")
+        terms = tuple(map(scope.expression, rate)) or (Constant(1.0),)
+        return Arithmetic("*", terms) if len(terms) > 1 else terms[0]
     if node.head != "assign":
         raise wrong(node, f"the values of {declared.name!r} are objects ({show_types(declared.values)}); expected (assign ...)")
     if isinstance(value, Atom) and value.key == UNDEFINED and scope.symbols.find_object(value.text) is None:

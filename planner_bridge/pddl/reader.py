@@ -18,7 +18,7 @@ from typing import Final, Literal, TypeAlias
 
 from planner_bridge.model.determinization import check_outcomes
 from planner_bridge.model.problem import TOTAL_COST, Domain, Metric, Problem
-from planner_bridge.pddl.actions import DURATIVE, INSTANTANEOUS, actions
+from planner_bridge.pddl.actions import DURATIVE, EVENT, INSTANTANEOUS, PROCESS, actions
 from planner_bridge.pddl.comments import Anchor, AnchorPath, Comment, CommentTable, LineIndex, attach
 from planner_bridge.pddl.expressions import (
     CONNECTIVES,
@@ -63,6 +63,7 @@ HIERARCHY: Final = (":task", ":method")
 NETWORK: Final = (":htn", ":tasks")
 DOMAIN_SECTIONS: Final = (
     *(":requirements", ":predicates", ":types", ":constants", ":functions", INSTANTANEOUS, DURATIVE, DERIVED, ":constraints"),
+    *(PROCESS, EVENT),
     *HIERARCHY,
 )
 MAX_READ: Final = 200_000
@@ -134,13 +135,15 @@ def _domain(definition: Definition, warnings: tuple[Tolerated, ...] = ()) -> Dom
     symbols = SymbolTable(domain, domain.constants, needed, lenient=True, derived=frozenset(derived))
     domain_rules = rules(rule_sections, symbols)
     hard, soft = constraints(definition.parts(":constraints"), TermScope(symbols))
-    schemas = actions(definition.every(INSTANTANEOUS, DURATIVE), symbols)
+    schemas, processes, events = (actions(definition.every(*heads), symbols) for heads in ((INSTANTANEOUS, DURATIVE), (PROCESS,), (EVENT,)))
     return replace(
         domain,
         functions={**domain.functions, **({TOTAL_COST: symbols.costs} if symbols.costs else {})},
         borrowed=symbols.borrowed,
         actions=schemas,
         rules=domain_rules,
+        processes=processes,
+        events=events,
         constraints=hard,
         preferences=soft,
         hierarchy=_verbatim_sections(definition, HIERARCHY, needed),
@@ -378,8 +381,8 @@ def _put(state: dict[Fluent, Value], change: _Change | None, node: Node) -> None
 
 
 def missing_numbers(problem: ProblemModel) -> tuple[Fluent, ...]:
-    """Return the numbers without a value that actions of the domain read, if nothing assigns one later."""
-    actions = problem.domain.actions.values()
+    """Return the numbers without a value that actions, processes and events of the domain read, if nothing assigns one later."""
+    actions = problem.domain.schemas
     effects = [effect for action in actions for effect in every_effect((*action.start_effects, *action.end_effects))]
     assigned = {effect.fluent[0] for effect in effects if isinstance(effect, Set) and effect.operation == "assign"}
     assigned |= {fluent[0] for change in problem.timed for fluent in change.changes}
@@ -486,6 +489,8 @@ class _AnchorFinder:
             yield from self.formulas(section.rest[1:], inner)
         elif head in (":action", ":durative-action"):
             yield from self.action(section, (*path, ACTION, form_anchor(form_of(name))))
+        elif head in (PROCESS, EVENT):
+            yield from self.action(section, (*inner, form_anchor(form_of(name))))
         else:
             yield self.anchor(section, inner)
             if head in (":types", ":constants", ":objects"):

@@ -15,15 +15,12 @@ from planner_bridge.pddl.expressions import Atom, Node, new_name, tolerate, wron
 from pnm.errors import InputError
 
 _CONTINGENT: Final = "a contingent planner, which unified-planning lacks,"
-_SIMULATION: Final = "a simulation of change over time"
 
 
 class Refused(Enum):
     """A construct of PDDL that is not supported: its name, and what would be needed to support it."""
 
-    PROCESS = "processes (:process)", _SIMULATION
-    EVENT = "events (:event)", "changes that happen without an action"
-    CONTINUOUS_EFFECT = "continuous effects (#t)", _SIMULATION
+    CONTINUOUS_EFFECT = "continuous effects (#t) outside a process", "a process (:process) in their place"
     DURATION_AT_END = "durations that are decided at the end", "a bound that is only known when the action ends"
     CONDITIONAL_OVER_ALL = "conditional effects on a condition 'over all'", "a watch over what is not required"
     SENSING_ACTION = "sensing actions (:observe)", _CONTINGENT
@@ -39,7 +36,7 @@ class Refused(Enum):
         return wrong(node, f"{construct} are not supported yet; {needed} would be needed")
 
 
-REFUSED_SECTIONS: Final[Mapping[str, Refused]] = {":process": Refused.PROCESS, ":event": Refused.EVENT, ":observe": Refused.SENSING_ACTION}
+REFUSED_SECTIONS: Final[Mapping[str, Refused]] = {":observe": Refused.SENSING_ACTION}
 REFUSED_HEADS: Final[Mapping[str, Refused]] = {"unknown": Refused.UNKNOWN}
 """In the place of a predicate or function."""
 REFUSED_IN_INIT: Final[Mapping[str, Refused]] = {
@@ -121,7 +118,7 @@ _KNOWN: Final = frozenset(
     (
         *(*_IMPLIED, *_FLUENTS, *_IMPLIED[":adl"], ":durative-actions", ":duration-inequalities", ":continuous-effects"),
         *(":derived-predicates", ":timed-initial-fluents", ":preferences", ":constraints", ":action-costs", ":goal-utilities"),
-        *(":time", ":contingent", ":non-deterministic", ":probabilistic-effects", ":rewards", ":multi-agent"),
+        *(":time", ":processes", ":events", ":contingent", ":non-deterministic", ":probabilistic-effects", ":rewards", ":multi-agent"),
         *(":hierarchy", ":method-preconditions", ":htn", ":htn-method-prec"),
     )
 )

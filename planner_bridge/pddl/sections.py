@@ -11,7 +11,7 @@ from planner_bridge.pddl.expressions import Atom, Group, Node, new_name, normali
 from planner_bridge.pddl.requirements import REFUSED_SECTIONS, Leniency
 from pnm.errors import InputError, Position, suggestion
 
-_REPEATABLE: Final = (":action", ":durative-action", ":derived", ":task", ":method")
+_REPEATABLE: Final = (":action", ":durative-action", ":process", ":event", ":derived", ":task", ":method")
 """Sections that a file may have several times."""
 _YAML: Final = re.compile(r"(?:\s|#.*\n|---\s*\n)*[\w-]+:(?:\s|$)")
 

@@ -51,6 +51,8 @@ Form: TypeAlias = "str | list[Form] | Noted | Keyed | Verbatim"
 WIDTH: Final = 100
 _ONE_A_LINE: Final = (":types", ":constants", ":objects", ":predicates", ":functions", ":init")
 ACTION: Final = "action"
+NATURE: Final = {"processes": ":process", "events": ":event"}
+"""The sections of what happens by itself, by the fields of a domain."""
 PARTS: Final = {
     ":precondition": "condition",
     ":condition": "condition",
@@ -99,10 +101,13 @@ def _domain(domain: Domain, notes: Notes) -> str:
         sections.append(noted([key, head, commented(body, own)], own.take()))
     sections.extend(_constraints(domain.constraints, domain.preferences, notes))
     sections.extend(_verbatim(text, notes) for text in domain.hierarchy)  # other planners read tasks only in front of actions
-    for schema in domain.actions.values():
-        own = notes.at(ACTION, schema.name.lower())
-        parts = [noted(Keyed(key, commented(form, own.at(PARTS[key]))), own.at(PARTS[key]).take()) for key, form in _parts(schema)]
-        sections.append(noted([":action" if schema.duration is None else ":durative-action", schema.name, *parts], own.take()))
+    of_head = {ACTION: domain.actions, **{head: getattr(domain, key) for key, head in NATURE.items()}}
+    for kind, schema in ((kind, schema) for kind, schemas in of_head.items() for schema in schemas.values()):
+        own = notes.at(kind, schema.name.lower())
+        forms = _parts(schema, rates=kind == NATURE["processes"])
+        parts = [noted(Keyed(key, commented(form, own.at(PARTS[key]))), own.at(PARTS[key]).take()) for key, form in forms]
+        head = kind if kind != ACTION else ":action" if schema.duration is None else ":durative-action"
+        sections.append(noted([head, schema.name, *parts], own.take()))
     return definition_text(["domain", domain.name], sections, notes.take())
 
 
@@ -231,12 +236,12 @@ def nested(variables: tuple[Variable, ...]) -> list[tuple[Variable, ...]]:
     return [tuple(group) for group in groups]
 
 
-def _parts(schema: ActionSchema) -> Iterator[tuple[str, Form]]:
+def _parts(schema: ActionSchema, *, rates: bool) -> Iterator[tuple[str, Form]]:
     yield ":parameters", variables_form(schema.parameters)
     if schema.duration is None:
         if schema.precondition != TRUE or schema.preferences:
             yield ":precondition", _with_preferences(schema.precondition, schema.preferences)
-        yield ":effect", effects_form(schema.end_effects)
+        yield ":effect", effects_form(schema.end_effects, rates=rates)
     else:
         bounds: list[Form] = [[bound.operation, "?duration", expression_form(bound.bound)] for bound in schema.duration]
         yield ":duration", joined(bounds) if bounds else []
@@ -366,8 +371,8 @@ def expression_form(expression: Expression) -> Form:
             assert_never(expression)
 
 
-def effects_form(effects: Effects) -> Form:
-    """Return effects as nested lists of words: one effect, or an ``and`` of several."""
+def effects_form(effects: Effects, *, rates: bool = False) -> Form:
+    """Return effects as nested lists of words: one effect, or an ``and`` of several; `rates` are those of a process."""
     forms: list[Form] = []
     for effect in effects:
         match effect:
@@ -376,13 +381,14 @@ def effects_form(effects: Effects) -> Form:
             case Set(fluent, Constant(False)):
                 forms.append(["not", list(fluent)])
             case Set(fluent, value, operation):
-                forms.append([operation, list(fluent), expression_form(value)])
+                number = expression_form(value)
+                forms.append([operation, list(fluent), ["*", "#t", number] if rates else number])
             case When(condition, inner):
-                forms.append(["when", condition_form(condition), effects_form(inner)])
+                forms.append(["when", condition_form(condition), effects_form(inner, rates=rates)])
             case OneOf():
                 forms.append(outcomes_form(effect, effects_form))
             case ForEach(variables, inner):
-                forms.append(["forall", variables_form(variables), effects_form(inner)])
+                forms.append(["forall", variables_form(variables), effects_form(inner, rates=rates)])
             case _:
                 assert_never(effect)
     return joined(forms)
@@ -410,6 +416,8 @@ def form_anchor(form: Form) -> str:
         return parts[0] if len(parts) == 1 else f"({' '.join(('and', *parts))})"
     if is_timed(form):
         return form_anchor(form[2])
+    if head == "*" and len(factors := [part for part in form if part not in ("#t", "#T")]) < len(form):  # a rate, as YAML has it
+        return form_anchor(factors[1] if len(factors) == 2 else factors)
     if head.startswith("?"):  # variables, of which only some have types, though they need not
         return f"({' '.join(part.lower() for part in form if isinstance(part, str) and part.startswith('?'))})"
     return f"({' '.join(map(form_anchor, form))})"

@@ -44,6 +44,7 @@ class Feature(Enum):
     CONSTRAINTS = "trajectory constraints"
     PREFERENCES = "preferences"
     TASKS = "task networks"
+    NATURE = "processes and events"
 
 
 def problem_kind(problem: Problem) -> frozenset[Feature]:
@@ -64,6 +65,7 @@ def problem_kind(problem: Problem) -> frozenset[Feature]:
         Feature.CONSTRAINTS: bool(domain.constraints or problem.constraints),
         Feature.PREFERENCES: problem.has_preferences,
         Feature.TASKS: problem.has_tasks,
+        Feature.NATURE: bool(domain.nature),
     }
     return frozenset(feature for feature, is_present in present.items() if is_present)
 

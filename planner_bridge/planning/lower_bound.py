@@ -104,7 +104,7 @@ class _Relaxation:
                 raise _NoBound
             self._counted, self.first = counted.fluent, float(value)
         self._numbers: dict[_Literal, int] = {}
-        if problem.domain.uncertain:
+        if problem.domain.uncertain or problem.domain.nature:
             raise _NoBound
         self.actions = [action for schema in problem.domain.actions.values() for action in self.ground(schema)]
         needs = self._needs(problem.goal, {})

@@ -124,8 +124,8 @@ def schema_assignments(schema: ActionSchema) -> tuple[tuple[Assignment, ...], tu
 
 @once_per_domain
 def action_assignments(domain: Domain) -> tuple[Assignment, ...]:
-    """Return the assignments of all actions, at their starts and ends."""
-    return tuple(change for schema in domain.actions.values() for moment in schema_assignments(schema) for change in moment)
+    """Return the assignments of all actions, at their starts and ends, and of processes and events."""
+    return tuple(change for schema in domain.schemas for moment in schema_assignments(schema) for change in moment)
 
 
 def functions_in_use(problem: Problem) -> frozenset[str]:
@@ -164,7 +164,7 @@ def calculates_with_whole_numbers(problem: Problem) -> bool:
     events by a time of their own; we tolerate a millionth: where numbers are not whole, a plan that they have ruled out may be valid here.
     """
     without_metric = replace(problem, metric=None)
-    return is_whole(without_metric, functions_in_use(without_metric))
+    return not problem.domain.nature and is_whole(without_metric, functions_in_use(without_metric))
 
 
 def _is_whole(expression: Expression) -> bool:
@@ -181,7 +181,7 @@ def conditions_of(problem: Problem) -> Iterator[Condition]:
     """Yield every condition that decides about the validity of a plan."""
     yield problem.goal
     yield from (rule.condition for rule in problem.domain.rules)
-    for schema in problem.domain.actions.values():
+    for schema in problem.domain.schemas:
         yield from (schema.precondition, schema.invariant, schema.end_condition)
     yield from (change.condition for change in action_assignments(problem.domain))
     for constraint in (*problem.domain.constraints, *problem.constraints):
@@ -219,7 +219,7 @@ def in_whole_numbers(problem: Problem) -> Problem:
 
     Sums of decimals are made whole, all by the same factor, which changes nothing about what is larger than what.
     """
-    if calculates_with_whole_numbers(problem):
+    if problem.domain.nature or calculates_with_whole_numbers(problem):
         return problem
     concerned = functions_in_use(replace(problem, metric=None))
     elsewhere = [bound.bound for schema in problem.domain.actions.values() for bound in schema.duration or ()]

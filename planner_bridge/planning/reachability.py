@@ -292,7 +292,7 @@ class Reachability:
 
 
 class _Change(NamedTuple):
-    """An effect of an action, and what it takes."""
+    """An effect of an action, a process or an event, and what it takes."""
 
     schema: ActionSchema
     effect: Assignment
@@ -300,7 +300,7 @@ class _Change(NamedTuple):
 
 
 def _changes(problem: Problem) -> Iterator[_Change]:
-    for schema in problem.domain.actions.values():
+    for schema in problem.domain.schemas:
         at_start, at_end = schema_assignments(schema)
         values = [change.value for change in (*at_start, *at_end) if change.is_plain and change.fluent[0].lower() != TOTAL_COST]
         numbers = [*(constraint.bound for constraint in schema.duration or ()), *values]  # which need a value

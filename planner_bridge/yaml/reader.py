@@ -174,6 +174,8 @@ def _check_names(model: ProblemModel, keys: DomainKeys) -> None:
     _check_spelling("predicate", domain.predicates, top.node("predicates"), CONNECTIVES)
     _check_spelling("function", domain.functions, top.node("functions"), CONNECTIVES)
     _check_spelling("action", domain.actions, top.node("actions"))
+    _check_spelling("process", domain.processes, top.node("processes"))
+    _check_spelling("event", domain.events, top.node("events"))
     for name, parents in domain.types.items():
         if any(name in domain.supertypes(parent) for parent in parents):
             raise InputError(f"the type {name!r} is a kind of itself", top.needed("types").position_of(name))
@@ -302,7 +304,10 @@ class _Anchors:
                         yield self._item((*path, *pddl.hierarchy_anchor(item.written)), item.position, opaque=True)
                 case "actions" if not node.is_null:
                     for name, position, action in node.mapped().entries():
-                        yield from self._action(self.domain.actions[name], position, action, path)
+                        yield from self._action(self.domain.actions[name], position, action, (*path, pddl.ACTION))
+                case "processes" | "events" if not node.is_null:
+                    for name, position, one in node.mapped().entries():
+                        yield from self._action(getattr(self.domain, key)[name], position, one, (*path, pddl.NATURE[key]))
 
     def _inside(self, key: str, node: Node, path: AnchorPath) -> Iterator[Anchor]:
         """Yield the things in a section that has names, declarations, facts or a formula."""
@@ -322,7 +327,7 @@ class _Anchors:
                     yield self._item((*path, pddl.fact_anchor(_fact(item))), item.position)
 
     def _action(self, schema: ActionSchema, position: Position, action: Node, path: AnchorPath) -> Iterator[Anchor]:
-        inner = (*path, pddl.ACTION, schema.name.lower())
+        inner = (*path, schema.name.lower())
         yield self._item(inner, position)
         for key, where, node in () if action.is_null else action.mapped().entries():
             if key in _PARTS:

@@ -100,6 +100,10 @@ def domain_entries(domain: Domain, notes: Notes, bindings: Bindings) -> list[Ent
             bound = (Entry(_value(binding.retries), "retries"),)
         actions.append(Entry(YamlMapping((*_parts(schema, inner), *bound)), schema.name, inner.take(), apart=bool(actions)))
     entries.append(Entry(YamlMapping(tuple(actions)), "actions"))
+    for key, head in pddl.NATURE.items():
+        schemas = [(schema, own.at(head, schema.name.lower())) for schema in getattr(domain, key).values()]
+        listed = (Entry(YamlMapping(tuple(_parts(schema, inner))), schema.name, inner.take()) for schema, inner in schemas)
+        entries.append(Entry(YamlMapping(tuple(listed)), key))
     filled = (replace(entry, apart=entry.key != "requirements") for entry in entries if not _is_empty(entry))
     return [Entry(domain.name, "name", root), *filled]
 

@@ -14,17 +14,35 @@ from pnm.core.knowledge_base import parse_statement
 from pnm.core.logic.computed_values import Data, Query, parts
 from pnm.core.logic.conditions import TRUE, Condition, fluents, free_variables
 from pnm.core.logic.domain import ActionSchema, Declaration, DomainModel, ProblemModel, Types
-from pnm.core.logic.effects import Effects, ForEach, OneOf, Set, TimedChange, When, has_outcomes, is_early
+from pnm.core.logic.effects import Effects, ForEach, OneOf, Set, TimedChange, When, every_effect, has_outcomes, is_early
 from pnm.core.logic.expressions import DURATION, Constant, Fluent, Value, Variable, expression_variables, fluent_text, variables_in
 from pnm.core.logic.rules import DerivationRule, Rules, UnstratifiedError
 from pnm.core.machine.bindings import DEFAULT, Binding
 from pnm.errors import InputError, Position, Tolerated
 from pnm.files.yaml_nodes import Mapped, Node
 from pnm.knowledge.sources import SourceChoice, check_source
-from pnm.language.formulas.readers import read_condition, read_conditions, read_duration, read_outcomes, read_timed_effects
+from pnm.language.formulas.readers import (
+    read_condition,
+    read_conditions,
+    read_duration,
+    read_effects,
+    read_outcomes,
+    read_timed_effects,
+)
 from pnm.language.formulas.scope import NOTHING_DECLARED, FormulaScope, read_names, read_typed, read_typed_text, shown, unknown
 from pnm.language.formulas.values import read_data
-from pnm.language.grammar import RESERVED, Action, ActionKind, ClassName, DomainKeys, ProblemKeys, RuleKeys, TimedFacts
+from pnm.language.grammar import (
+    RESERVED,
+    Action,
+    ActionKind,
+    ClassName,
+    DomainKeys,
+    EventKeys,
+    ProblemKeys,
+    ProcessKeys,
+    RuleKeys,
+    TimedFacts,
+)
 
 CLASSES: Final = {"ROSAtomicAction": ActionKind.ROS, "RPNAtomicAction": ActionKind.RPN, "KBAction": ActionKind.KB}
 """The classes that files for the original implementation name; none of them is imported."""
@@ -131,6 +149,20 @@ def read_schema(name: str, keys: Action, scope: FormulaScope) -> ActionSchema:
                 "only an effect at the end of an action with a duration can be tested at its start", keys.entry.position("effects")
             )
     return schema
+
+
+def read_nature(name: str, keys: ProcessKeys, scope: FormulaScope) -> ActionSchema:
+    """Read a process or an event."""
+    parameters = () if keys.params is None else read_typed(keys.params, scope)
+    inner = replace(scope, variables={}).inside(parameters)
+    condition = TRUE if keys.preconditions is None else read_condition(keys.preconditions, inner)
+    written, where = read_effects(keys.effects, inner), keys.entry.position("effects")
+    if written.expected != TRUE or has_outcomes(written.effects) or any(map(is_early, written.effects)):
+        raise InputError(f"{name} happens by itself, in one way; expected effects on facts and functions alone", where)
+    changed = (effect for effect in every_effect(written.effects) if isinstance(effect, Set))
+    if not isinstance(keys, EventKeys) and any(effect.operation not in ("increase", "decrease") for effect in changed):
+        raise InputError("a process changes numbers as time passes; expected increase or decrease, by how much in a second", where)
+    return ActionSchema(name, parameters, condition, end_effects=written.effects)
 
 
 def read_action(schema: ActionSchema, keys: Action, scope: FormulaScope) -> LanguageAction:
@@ -324,7 +356,12 @@ def read_model(top: DomainKeys, *, strict: bool = False) -> ProblemModel:
     except UnstratifiedError as error:
         raise InputError(str(error), top.entry.position("derived")) from error
     scope = replace(scope, declared=replace(declared, domain=domain))
-    domain = replace(domain, actions={name: read_schema(name, keys, scope) for name, keys in top.actions.items()})
+    domain = replace(
+        domain,
+        actions={name: read_schema(name, keys, scope) for name, keys in top.actions.items()},
+        processes={name: read_nature(name, keys, scope) for name, keys in top.processes.items()},
+        events={name: read_nature(name, keys, scope) for name, keys in top.events.items()},
+    )
     whole = replace(declared, domain=domain)
     for name, keys in top.actions.items():
         try:

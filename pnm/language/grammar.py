@@ -105,6 +105,24 @@ class Action(BindingKeys, ActionKeys, schema={"type": ["object", "null"]}):
 BINDING_KEYS: Final = tuple(key.name for key in Action.known.values() if key.name not in ActionKeys.known)
 """The keys of an action that bind it to its server."""
 
+# --- processes and events ------------------------------------------------------------------
+
+
+class ProcessKeys(Keys, schema={"type": ["object", "null"]}):
+    """Something that goes on by itself while a condition holds."""
+
+    params = node(_TYPED, "the objects it is about: ?t - tank", "none")
+    preconditions = node(CONDITION, "it goes on while they hold", "always")
+    effects = needed(ref("effects"), 'by how much numbers change in a second: `increase: ["(level ?t)", 2]`, or `decrease`')
+
+
+class EventKeys(ProcessKeys):
+    """Something that comes about by itself as soon as a condition holds."""
+
+    preconditions = node(CONDITION, "it comes about as soon as they hold").must()
+    effects = needed(ref("effects"), "facts after it; they make its preconditions false")
+
+
 # --- domains and problems ------------------------------------------------------------------
 
 
@@ -158,6 +176,8 @@ class DomainKeys(_PlannedKeys, others=ANYTHING):
     )
     action_types = each(Action, ref("action"), "entries that only carry anchors for actions to merge")
     actions = each(Action, ref("action"), "the actions by name; the name is that of the action server unless the action says otherwise")
+    processes = each(ProcessKeys, ProcessKeys.json(), "what goes on by itself, by name")
+    events = each(EventKeys, EventKeys.json(), "what comes about by itself, by name")
     types = node(_TYPED, "types and what they are kinds of: robot place - object")
     constants = node(_TYPED, "objects that every problem has: hall kitchen - place")
     predicates = listed(_TEXTS, "predicates: (at ?r - robot ?p - place)")

@@ -222,7 +222,7 @@ class _Grounding:
         read = frozenset().union(*map(names, conditions))
         self.only_counted = self.changing & problem.domain.functions.keys() - read
         unsuitable = {
-            "facts that change by themselves": problem.timed,
+            "facts that change by themselves": problem.timed or problem.domain.nature,
             "constraints": problem.constraints or problem.domain.constraints,
             "preferences": problem.has_preferences,
             "tasks and methods": problem.has_tasks,

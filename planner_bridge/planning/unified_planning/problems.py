@@ -87,7 +87,7 @@ class Translation:
         self._cost = cost_function(problem)
         functions = functions_in_use(problem)
         try:
-            if missing := problem_kind(problem) & {Feature.DERIVED, Feature.PREFERENCES, Feature.TASKS}:
+            if missing := problem_kind(problem) & {Feature.DERIVED, Feature.PREFERENCES, Feature.TASKS, Feature.NATURE}:
                 raise InputError(" and ".join(sorted(feature.value for feature in missing)))
             self._declared = Declarations(problem, translated, functions - {self._cost}, is_whole(problem, functions))
             self.objects = {there.name: name for name, there in self._declared.objects.items()}

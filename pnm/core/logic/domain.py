@@ -109,11 +109,25 @@ class DomainModel:
     actions: Mapping[str, ActionSchema] = field(default_factory=dict)
     rules: Rules = NO_RULES
     """The rules for derived predicates: one object for all that is planned and known in the domain."""
+    processes: Mapping[str, ActionSchema] = field(default_factory=dict)
+    """What goes on while its precondition holds (PDDL+): its effects say by how much numbers increase or decrease in a second."""
+    events: Mapping[str, ActionSchema] = field(default_factory=dict)
+    """What comes about as soon as its precondition holds (PDDL+)."""
 
     @cached_property
     def fluents(self) -> dict[str, Declaration]:
         """Predicates and functions; of two with the same name, the function."""
         return {**self.predicates, **self.functions}
+
+    @cached_property
+    def nature(self) -> tuple[ActionSchema, ...]:
+        """What happens by itself: processes and events."""
+        return (*self.processes.values(), *self.events.values())
+
+    @cached_property
+    def schemas(self) -> tuple[ActionSchema, ...]:
+        """All that changes facts: actions, processes, events."""
+        return (*self.actions.values(), *self.nature)
 
     @cached_property
     def uncertain(self) -> frozenset[str]:
@@ -199,7 +213,7 @@ class ProblemModel:
     @property
     def is_timed(self) -> bool:
         """Whether the starts of a plan are times: some action lasts, or facts change by themselves."""
-        return bool(self.timed) or any(schema.duration is not None for schema in self.domain.actions.values())
+        return bool(self.timed or self.domain.nature) or any(schema.duration is not None for schema in self.domain.actions.values())
 
     @cached_property
     def objects(self) -> dict[str, Types]:
@@ -223,7 +237,7 @@ class ProblemModel:
         """Yield for everything that quantifiers may stand in what it is, and over how many choices of objects they range."""
         for rule in self.domain.rules:
             yield f"the rule of {rule.name}", choices_in(rule.condition, self.count)
-        for schema in self.domain.actions.values():
+        for schema in self.domain.schemas:
             conditions = (schema.precondition, schema.invariant, schema.end_condition)
             yield f"a condition of {schema.name}", max(choices_in(condition, self.count) for condition in conditions)
             effects = (schema.start_effects, schema.end_effects)

@@ -197,3 +197,30 @@
 
 (:durative-action a :duration () :effect (over all (idle)))
 ;! 2:42: expected (at start ...), (at end ...), and, forall or when; found (over ...)
+
+(:process p :parameters (?r - robot) :effect (idle))
+;! 2:46: a process changes numbers as time passes; expected (increase FUNCTION (* #t RATE)) or decrease, found (idle)
+
+(:process p :parameters (?r - robot) :effect (assign (charge ?r) (* #t 2)))
+;! 2:46: a process changes numbers as time passes; expected (increase FUNCTION (* #t RATE)) or decrease, found (assign ...)
+
+(:process p :parameters (?r - robot) :effect (increase (charge ?r) 2))
+;! 2:68: expected a change in a second, (* #t RATE), found '2'
+
+(:process p :parameters (?r - robot) :effect (increase (charge ?r) (* #t #t)))
+;! 2:68: expected a change in a second, (* #t RATE), found (* ...)
+
+(:process p :parameters (?r - robot) :effect (increase (charge ?r) (* 2 (+ 1 #t))))
+;! 2:68: expected a change in a second, (* #t RATE), found (* ...)
+
+(:event e :parameters (?r - robot) :effect (increase (charge ?r) (* #t 2)))
+;! 2:69: continuous effects (#t) outside a process are not supported yet; a process (:process) in their place would be needed
+
+(:event e :effect (oneof (idle) (and)))
+;! 2:1: e happens by itself; preferences and several outcomes are for actions
+
+(:event e :precondition (preference (idle)) :effect (idle))
+;! 2:1: e happens by itself; preferences and several outcomes are for actions
+
+(:event)
+;! 2:1: expected a name after ':event', found nothing

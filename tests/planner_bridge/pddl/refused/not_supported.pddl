@@ -1,11 +1,5 @@
 ;;; What we cannot plan for or execute, added to a small domain.
 
-(:process p)
-;! 2:2: processes (:process) are not supported yet; a simulation of change over time would be needed
-
-(:event e)
-;! 2:2: events (:event) are not supported yet; changes that happen without an action would be needed
-
 (:action a :observe (idle))
 ;! 2:12: sensing actions (:observe) are not supported yet; a contingent planner, which unified-planning lacks, would be needed
 
@@ -16,7 +10,7 @@
 ;! 2:42: outcomes at the start of a durative action are not supported yet; a request whose robot says how it has begun would be needed
 
 (:durative-action a :parameters (?r - robot) :duration () :effect (increase (charge ?r) (* #t 2)))
-;! 2:92: continuous effects (#t) are not supported yet; a simulation of change over time would be needed
+;! 2:92: continuous effects (#t) outside a process are not supported yet; a process (:process) in their place would be needed
 
 (:durative-action a :duration () :effect (when (over all (idle)) (at end (idle))))
 ;! 2:48: conditional effects on a condition 'over all' are not supported yet; a watch over what is not required would be needed

@@ -48,7 +48,7 @@ define
 
 (define (domain d)
  (:init))
-;! 2:3: unknown section ':init'; expected one of :requirements, :predicates, :types, :constants, :functions, :action, :durative-action, :derived, :constraints, :task, :method
+;! 2:3: unknown section ':init'; expected one of :requirements, :predicates, :types, :constants, :functions, :action, :durative-action, :derived, :constraints, :process, :event, :task, :method
 
 (define (domain d)
  (:predicates (p)
