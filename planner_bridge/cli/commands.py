@@ -133,6 +133,7 @@ def plan(
         plan = result.plan
         found = {"cost": plan.cost, "expected_seconds": plan.seconds, "is_best": plan.is_best, "above_best": plan.above} if plan else {}
         fields: dict[str, object] = {"status": result.status.value, "message": result.message, "planner": result.planner, **found}
+        fields |= {"until": round(plan.until, 6)} if plan and plan.until else {}
         fields |= {"odds": odds.as_json()} if odds else {}
         fields |= {"policy": policy.as_json()} if policy else {}
         options.print_json({**fields, "steps": steps if result.plan else None})
@@ -286,7 +287,9 @@ def simulate(
         options.check_output(log, force=force)
     loaded = options.problem_in(domain, problem)
     bound = bindings_for(domain, bindings, loaded.vocabulary) or DEFAULTS.bindings
-    return play(loaded, bound, options.faults_in(faults, loaded.vocabulary), speed or (1.0 if loaded.timed else 20.0), log)
+    return play(
+        loaded, bound, options.faults_in(faults, loaded.vocabulary), speed or (1.0 if loaded.timed or loaded.domain.nature else 20.0), log
+    )
 
 
 @app.command("help", epilog="Example: pnm help run")

@@ -50,9 +50,11 @@ class Plan:
     """Whether it is proved that no plan is better: costs less, or without a metric takes less time or has fewer steps."""
     above: float | None = None
     """How far it is above the best plan at most, as a part of that; None where no bound is known, or was asked for."""
+    until: float = 0.0
+    """When it is over, in seconds, if that is after its last step: processes go on."""
 
     def __str__(self) -> str:
-        if not self.steps:
+        if not self.steps and not self.until:
             return "nothing to do: the goal is empty, holds already, or comes by itself"
         parts = [counted(len(self.steps), "call"), *([f"{self.makespan:.1f} s"] if self.temporal else ())]
         parts += [f"{self.seconds:.0f} s expected"] if self.seconds is not None else ()
@@ -66,7 +68,8 @@ class Plan:
             f"  {step.start:8.2f} s  {step}  [{step.duration:.2f} s]" if self.temporal else f"  {number:8d}.   {step}"
             for number, step in enumerate(self.steps, 1)
         )
-        return "\n".join((head, *lines))
+        waits = (f"  {self.until:8.2f} s  the end",) if self.until else ()
+        return "\n".join((head, *lines, *waits))
 
     @property
     def value(self) -> float:
@@ -77,8 +80,8 @@ class Plan:
 
     @property
     def makespan(self) -> float:
-        """The time from the start to the last end."""
-        return max((step.start + step.duration for step in self.steps), default=0.0)
+        """The time from the start to the end."""
+        return max((self.until, *(step.start + step.duration for step in self.steps)))
 
 
 class PlanningStatus(Enum):
@@ -146,6 +149,8 @@ class CancelToken(Protocol):
 
 
 _LINE: Final = re.compile(r"\s*(?:(?P<time>[0-9.eE+-]+)\s*:)?\s*\((?P<call>[^()]*)\)\s*(?:\[(?P<duration>[0-9.eE+-]+)\])?\s*")
+_END: Final = ": @PlanEND"
+"""Stands after the time of the end, of a plan that goes on after its last step."""
 GAP: Final = 0.001
 """Seconds between the end of a call and the start of the next one, where the text has no times."""
 ASSUMED_SECONDS: Final = 1.0
@@ -159,14 +164,16 @@ def read_plan(text: str, problem: Problem, name: str = "plan") -> Plan:
     if len(text) > LONGEST:
         raise InputError(f"{name}: {len(text)} characters; a plan may have {LONGEST}")
     steps: list[PlanStep] = []
-    state, now, names = initial_knowledge(problem), 0.0, SpelledNames(problem)
+    state, now, until, names = initial_knowledge(problem), 0.0, 0.0, SpelledNames(problem)
     for number, line in enumerate(text.splitlines(), 1):
         content = line.partition(";")[0]
-        if content.strip():
+        if content.strip().endswith(_END):
+            until = _number(content.strip().removesuffix(_END), Position(name, number, 1)) or 0.0
+        elif content.strip():
             step = _step(content, names, state, Position(name, number, len(content) - len(content.lstrip()) + 1), now)
             steps.append(step)
             now = step.start + step.duration + GAP
-    return Plan(tuple(sorted(steps, key=attrgetter("start"))), problem.is_timed)
+    return Plan(tuple(sorted(steps, key=attrgetter("start"))), problem.is_timed, until=until)
 
 
 class SpelledNames:
@@ -221,4 +228,5 @@ def plan_text(plan: Plan) -> str:
     """Return the plan in the format of the planning competitions."""
     if not plan.temporal:
         return "".join(f"({' '.join((step.action, *step.arguments))})\n" for step in plan.steps)
-    return "".join(f"{step.start:.6f}: ({' '.join((step.action, *step.arguments))}) [{step.duration:.6f}]\n" for step in plan.steps)
+    lines = [f"{step.start:.6f}: ({' '.join((step.action, *step.arguments))}) [{step.duration:.6f}]\n" for step in plan.steps]
+    return "".join((*lines, *((f"{plan.until:.6f}{_END}\n",) if plan.until else ())))

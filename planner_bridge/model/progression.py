@@ -14,21 +14,22 @@ Besides, the progression of trajectory constraints.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from itertools import count
 from operator import itemgetter
 from typing import TYPE_CHECKING, Final, Literal, TypeAlias
 
-from planner_bridge.model.grounding import ground_step
+from planner_bridge.model.grounding import ground_step, initial_knowledge
 from planner_bridge.model.plan import Plan
 from planner_bridge.model.problem import Problem
 from pnm.core.knowledge_base import KnowledgeBase
 from pnm.core.logic.conditions import TOLERANCE, Condition, evaluate, explanation
 from pnm.core.logic.effects import Changes, Effects, TimedChange, changes, decided, written
-from pnm.core.logic.expressions import UNKNOWN, Fluent, Value, same_value
+from pnm.core.logic.expressions import UNKNOWN, Fluent, Unknown, Value, same_value
 from pnm.core.logic.trajectory import IMPOSSIBLE, Constraint, instances, is_fulfilled, progressed
 from pnm.core.machine.plan_graph import ActionCall, GroundAction, Moment, PlanEvent
+from pnm.core.nature import Nature
 from pnm.errors import PnmError
 
 if TYPE_CHECKING:
@@ -76,7 +77,7 @@ def stretch(problem: Problem, plan: Plan) -> Plan:
 def happenings(problem: Problem, plan: Plan, first: int = 0) -> list[Happening]:
     """Return the happenings of a plan in the order of time, its calls numbered from `first`.
 
-    The steps of a plan without times happen at 0, 1, 2 and so on.
+    The steps of a plan without times happen at 0, 1, 2 and so on. Where processes go on, the end is a happening too.
     """
     moments: list[tuple[float, PlanEvent | TimedChange]] = [(change.time, change) for change in problem.timed]
     for number, step in enumerate(plan.steps, first):
@@ -90,6 +91,8 @@ def happenings(problem: Problem, plan: Plan, first: int = 0) -> list[Happening]:
         if not groups or time - groups[-1][0] > EPSILON:
             groups.append((time, []))
         groups[-1][1].append(what)
+    if problem.domain.nature:
+        groups.append((max(plan.makespan, groups[-1][0] if groups else 0.0), []))
     found = []
     for time, together in groups:
         events = [one for one in together if isinstance(one, PlanEvent)]
@@ -134,11 +137,13 @@ class Progression:
         state: in which the plan begins.
         running: the actions that have begun before, by the number of the call.
         unmet: asked about every condition that does not hold.
+        nature: what happens by itself, where anything does.
     """
 
     state: KnowledgeBase
     running: dict[int, GroundAction] = field(default_factory=dict)
     unmet: Unmet = refuse
+    nature: Nature | None = None
 
     def advance(self, events: Iterable[tuple[PlanEvent, GroundAction]], timed: Mapping[Fluent, Value] = _NOTHING) -> Changes:
         """Let actions start and end, each start before its own end, and facts change by themselves; return the changed fluents.
@@ -163,8 +168,31 @@ class Progression:
             del running[call]
         return changed
 
+    def pass_time(self, seconds: float) -> Iterator[float]:
+        """Let time pass; yield how many seconds have passed at every turn of nature and at the end, and check over-all conditions there."""
+        going_on = [action.invariant for action in self.running.values()]
+        for passed in self.nature.pass_time(self.state, seconds, going_on) if self.nature else ():
+            self.advance(())
+            yield passed
+
     def _holds(self, call: int, stage: Stage, condition: Condition) -> bool:
         return evaluate(condition, self.state) is True or self.unmet(call, stage, condition, self.state)
+
+
+def foreseen(problem: Problem, plan: Plan) -> Problem:
+    """Return the problem with what processes and events do beside a plan, which must be valid, as facts that change by themselves."""
+    if not problem.domain.nature:
+        return problem
+    simulation, calls, nature = Progression(initial_knowledge(problem)), calls_of(problem, plan), Nature(problem)
+    timed, now = [*problem.timed], 0.0
+    for happening in happenings(problem, plan):
+        for passed, changed in nature.foresee(simulation.state, happening.time - now):
+            known = {fluent: value for fluent, value in changed.items() if not isinstance(value, Unknown)}
+            timed += [TimedChange(now + passed, known)] if known else []
+            simulation.state.record(changed)
+        now = happening.time
+        simulation.advance([(event, calls[event.call].action) for event in happening.events], happening.changes)
+    return replace(problem, timed=tuple(sorted(timed, key=lambda change: change.time)))
 
 
 class ConstraintProgression:

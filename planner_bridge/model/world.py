@@ -23,6 +23,7 @@ from pnm.core.logic.expressions import DURATION, UNDEFINED, Constant, Fluent, Va
 from pnm.core.logic.rules import Rules
 from pnm.core.machine.bindings import Bindings
 from pnm.core.machine.plan_graph import Conditional
+from pnm.core.nature import Nature
 from pnm.errors import InputError
 from pnm.language.plan import HandWrittenPlan
 
@@ -183,5 +184,6 @@ def robots_of(described: Problem | HandWrittenPlan, bindings: Bindings, faults: 
         # In PDDL an action without a duration is instantaneous where there are times; otherwise nothing is known of how long it takes.
         untimed=0.0 if isinstance(described, Problem) and described.is_timed else 1.0,
         speed=speed,
+        nature=Nature(model) if (model := described if isinstance(described, Problem) else described.declared).domain.nature else None,
         capacities={} if isinstance(described, Problem) else described.graph.capacities,
     )

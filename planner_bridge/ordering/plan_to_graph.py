@@ -14,7 +14,7 @@ from typing import Final, NamedTuple, TypeAlias
 from planner_bridge.model.grounding import dynamic_names, initial_knowledge
 from planner_bridge.model.plan import Plan
 from planner_bridge.model.problem import Domain, Problem, once_per_domain
-from planner_bridge.model.progression import Happening, calls_of, happenings
+from planner_bridge.model.progression import Happening, calls_of, foreseen, happenings
 from planner_bridge.ordering.causal_links import CausalLinks, OrderKept, delay_enclosing_starts
 from planner_bridge.ordering.partial_order import NEAR, PartialOrder, Writers
 from pnm.core.knowledge_base import KnowledgeBase, statement_text
@@ -23,6 +23,7 @@ from pnm.core.logic.effects import Effects, Set, TimedChange, When, changes, dec
 from pnm.core.logic.expressions import UNKNOWN, Fluent, Unknown, Value, expression_fluents, same_value
 from pnm.core.logic.trajectory import instances, names_in
 from pnm.core.machine.plan_graph import ActionCall, GroundAction, Moment, PlanEvent, PlanGraph, PlanGraphError
+from pnm.core.nature import Nature
 from pnm.core.net.no_collection import no_collection
 from pnm.errors import check_kinds
 
@@ -250,15 +251,18 @@ _OVER: Final = -1.0
 
 _NETWORK: Final[Fluent] = ("order of tasks",)
 """Stands for a fluent that every event writes."""
+_NATURE: Final[Fluent] = ("processes and events",)
 
 
 @no_collection()
 def plan_graph(problem: Problem, plan: Plan, under_way: Sequence[ActionCall] = ()) -> PlanGraph:
     """Return the calls of the plan with the orderings that its causal links demand.
 
-    Where calls of an earlier plan are still under way, the problem begins with the state after their ends.
+    What processes and events do beside it comes at its times. Where calls of an earlier plan are still under way, the problem begins
+    with the state after their ends.
     """
     check_kinds("plan_graph", {"problem": (problem, Problem), "plan": (plan, Plan)})
+    problem = foreseen(problem, plan)
     running = [replace(call, index=index, planned=0.0, under_way=True) for index, call in enumerate(under_way)]
     steps = calls_of(problem, plan, len(running))
     calls = [*running, *steps]
@@ -341,6 +345,8 @@ def causal_links(problem: Problem, actions: Sequence[GroundAction]) -> CausalLin
     # A network of tasks fixes the order of its steps in ways that reads and writes do not show.
     if problem.network:
         links.kept.append(OrderKept(_NETWORK))
+    if problem.domain.nature:  # the time at which an action changes what happens by itself shows in effects that come later
+        links.kept.append(OrderKept(_NATURE, links.relevant_of(Nature(problem).concerns(knowledge)), timed=True))
     for constraint in (*problem.domain.constraints, *problem.constraints):
         for ground in instances(constraint, knowledge):
             mentioned = frozenset().union(*(fluents(condition, knowledge) for condition in ground.conditions))
@@ -351,9 +357,9 @@ def causal_links(problem: Problem, actions: Sequence[GroundAction]) -> CausalLin
 
 @once_per_domain
 def _asked_by_domain(domain: Domain) -> frozenset[str]:
-    """Return the names of fluents that actions and constraints of the domain read."""
+    """Return the names of fluents that actions, processes, events and constraints of the domain read."""
     asked = {name for constraint in domain.constraints for name in names_in(constraint)}
-    for schema in domain.actions.values():
+    for schema in domain.schemas:
         for condition in (schema.precondition, schema.invariant, schema.end_condition):
             asked |= names(condition)
         for constraint in schema.duration or ():

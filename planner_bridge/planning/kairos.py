@@ -7,13 +7,24 @@ import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
+from itertools import accumulate
 from math import inf
 from operator import attrgetter
 from typing import TYPE_CHECKING, Final
 
 import kairos
 
-from planner_bridge.model.plan import ASSUMED_SECONDS, CancelToken, Plan, PlanningResult, PlanningStatus, PlanStep, SpelledNames, plan_text
+from planner_bridge.model.plan import (
+    ASSUMED_SECONDS,
+    GAP,
+    CancelToken,
+    Plan,
+    PlanningResult,
+    PlanningStatus,
+    PlanStep,
+    SpelledNames,
+    plan_text,
+)
 from planner_bridge.model.problem import TOTAL_TIME, Domain, Problem, once_per_domain
 from planner_bridge.pddl.writer import write_domain, write_problem
 from planner_bridge.planning.normal_form import in_whole_numbers, with_durations
@@ -345,7 +356,11 @@ def _plan(plan: kairos.Plan, problem: Problem) -> Plan:
     """Return a plan of Kairos with the names of actions and objects spelled as in the problem."""
     names = SpelledNames(problem)
     steps = tuple([names.step(step.name, step.args, step.time, step.duration) for step in plan.steps])
-    return Plan(steps, temporal=problem.is_timed, cost=plan.cost if _has_cost(problem) else None)
+    if problem.domain.nature:  # then Kairos takes what begins at one time one after the other, in this order
+        starts = accumulate((step.start for step in steps), lambda before, start: max(start, before + GAP))
+        steps = tuple([replace(step, start=start) for step, start in zip(steps, starts, strict=True)])
+    found = Plan(steps, temporal=problem.is_timed, cost=plan.cost if _has_cost(problem) else None)
+    return replace(found, until=plan.end) if plan.end and plan.end > found.makespan else found
 
 
 def _has_cost(problem: Problem) -> bool:

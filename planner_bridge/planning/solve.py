@@ -187,14 +187,16 @@ def reduced(
     until: float = inf,
     rates: ExpectedTimes | None = None,
 ) -> PlanningResult:
-    """Return the result with a plan that has no needless step; one of a task network, or with preferences, is more than a way to a goal.
+    """Return the result with a plan that has no needless step.
+
+    A plan of a task network, or with preferences, is more than a way to a goal, and a step less shifts what processes do: they stay.
 
     Args:
         parsed: the problem as Kairos reads it, if that is there already.
         until: when to stop looking, on the clock of `time.monotonic`; the plan may have needless steps then.
     """
     plan = result.plan
-    if plan is None or problem.network or problem.has_preferences:
+    if plan is None or problem.network or problem.has_preferences or problem.domain.nature:
         return result
     if problem.metric is not None:
         plan = replace(plan, cost=cost_of(problem, plan))

@@ -14,6 +14,7 @@ The rules are those of PDDL 2.1 (section 8) and 2.2, read as Kairos' validator r
 - A duration may miss its bounds by a thousandth of a second.
 - A state is in force until the next one, also for ``hold-during`` and ``hold-after``; Kairos looks at
   those states only that begin within the time.
+- Processes and events are those of `pnm.core.nature`; constraints are looked at where something begins, ends or comes about.
 - All timed facts come true, those after the last step too, before the goal is looked at.
 - A number without a value cannot be changed, `total-cost` excepted, nor can it be compared. Kairos
   refuses a plan as soon as it meets one, even where it does not matter: in an effect whose
@@ -45,6 +46,7 @@ from pnm.core.logic.effects import assignments, possible_assignments
 from pnm.core.logic.expressions import UNKNOWN, Constant, Expression, Fluent, State, Unknown, Value, fluent_text, value_of
 from pnm.core.logic.trajectory import moments, observed_of
 from pnm.core.machine.plan_graph import GroundAction, Moment
+from pnm.core.nature import Nature
 from pnm.errors import InputError, PnmError
 
 DURATION_TOLERANCE: Final = 1e-3
@@ -97,20 +99,26 @@ def _states(problem: Problem, plan: Plan, samples: Iterable[float] = ()) -> Iter
     """
     waiting = deque(samples)
     steps = _steps(problem, plan)
-    simulation = Progression(initial_knowledge(problem))
-    yield 0.0, simulation.state
+    simulation = Progression(initial_knowledge(problem), nature=Nature(problem) if problem.domain.nature else None)
+    now = 0.0
+    yield now, simulation.state
     for happening in happenings(problem, plan):
         when = f" at {happening.time:g} s" if plan.temporal else ""
         while waiting and waiting[0] < happening.time - TOLERANCE:
             yield waiting.popleft(), simulation.state
-        for event in happening.events:
-            if event.moment is Moment.START:
-                steps[event.call].check_duration(simulation.state)
-        _check_interference(happening, steps, simulation, when)
         try:
+            for passed in simulation.pass_time(happening.time - now):
+                yield now + passed, simulation.state
+            now = happening.time
+            for event in happening.events:
+                if event.moment is Moment.START:
+                    steps[event.call].check_duration(simulation.state)
+            _check_interference(happening, steps, simulation, when)
             changes = simulation.advance([(event, steps[event.call].action) for event in happening.events], happening.changes)
         except NotApplicable as error:
             raise InvalidPlan(f"{steps[error.call]} cannot {error.stage}{when}: {error}", error.call) from error
+        except InputError as error:
+            raise InvalidPlan(str(error)) from error
         for fluent, value in changes.items():
             if value is UNKNOWN and fluent[0].lower() != TOTAL_COST:
                 raise InvalidPlan(f"{fluent_text(fluent)} is changed{when}, but it has no value, or is given none")

@@ -18,6 +18,7 @@ from planner_bridge.tasks.context import TaskContext
 from planner_bridge.tasks.replanning import Progress, why_not
 from planner_bridge.tasks.result import ConstraintResult, PreferenceResult, TrajectoryNote, Violation, notes_of
 from pnm.actions.backend import schedule
+from pnm.actions.prediction import Prediction
 from pnm.clock import TimeLimit
 from pnm.core.knowledge_base import KnowledgeBase, Layered, Readers
 from pnm.core.logic.conditions import TOLERANCE, All
@@ -25,6 +26,7 @@ from pnm.core.logic.domain import Preference
 from pnm.core.logic.expressions import NOTHING, Environment, choices
 from pnm.core.logic.rules import read_by
 from pnm.core.logic.trajectory import Constraint, ConstraintProgress, instances, is_fulfilled, names_in, observed_of, shifted
+from pnm.core.nature import Nature
 from pnm.journal.replay import ReplayedTask
 from pnm.tasks import Code
 
@@ -247,6 +249,8 @@ class TaskMonitor:
         )
         """The seconds that the task may take, pauses left out."""
         self._next_look: asyncio.TimerHandle | None = None
+        self.prediction: Prediction | None = None
+        """Of processes and events, where there are any."""
         self._known: tuple[int, Problem] | None = None
         """The problem from the world as it was after so many changes, without its constraints."""
 
@@ -267,6 +271,9 @@ class TaskMonitor:
         self._context.observer.began(self.began)
         world = self._context.world
         cleanup.callback(schedule(world, self._context.problem.timed, self._since))
+        if self._context.problem.domain.nature:
+            self.prediction = Prediction(Nature(self._context.problem), world)
+            cleanup.callback(self.prediction.close)
         cleanup.callback(end_looking)
         if not self.constraints.idle:
             cleanup.callback(world.listen(self.look))
@@ -305,6 +312,8 @@ class TaskMonitor:
     def now(self, world: KnowledgeBase | None = None) -> Problem:
         """Return the problem that is left, from this world, or from the present one."""
         problem, known = self._context.problem, self._context.world
+        if self.prediction:
+            self.prediction.bring_up_to_date()
         if (world := self._context.present if world is None else world) is not known or problem.timed:
             passed = asyncio.get_running_loop().time() - self._since
             now = problem_now(problem, world, passed)

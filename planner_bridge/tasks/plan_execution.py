@@ -289,6 +289,11 @@ class PlanExecution(Observer):
     def _run_of(self, proved: ProvedMachine, adopted: Mapping[int, UnderWay]) -> Run:
         context, runner, (machine, proof) = self._context, self._context.runner, proved
         context.observer.generated(machine, proof)
+        if self._monitor.prediction:  # what the plan waits for is known as soon as it is so
+            actions = [call.action for call in machine.plan.calls]
+            needs = (part for one in actions for part in (one.precondition, one.invariant, one.end_condition))
+            self._monitor.prediction.watched = (machine.plan.goal, *needs)
+            self._monitor.prediction.look()
         return runner.journal.make_run(
             machine,
             context.knowledge,

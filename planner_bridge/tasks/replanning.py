@@ -370,6 +370,8 @@ def times_that_matter(now: Problem) -> str:
     """Return why only a planner can judge a delay; empty when times do not matter."""
     if now.timed:
         return "there are timed facts, so the times of the plan matter"
+    if now.domain.nature:
+        return "there are processes and events, so the times of the plan matter"
     timed = [str(constraint) for constraint in (*now.domain.constraints, *now.constraints) if constraint.times]
     return f"the times of the plan matter to {', '.join(timed)}" if timed else ""
 

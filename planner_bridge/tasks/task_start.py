@@ -23,10 +23,12 @@ from planner_bridge.tasks.settings import OnChange
 from planner_bridge.tasks.task import StartTask, Task
 from planner_bridge.yaml.reader import read
 from pnm.actions.backend import schedule
+from pnm.actions.prediction import Prediction
 from pnm.core.logic.conditions import TRUE, Condition
 from pnm.core.machine.failure_causes import Cause
 from pnm.core.machine.plan_graph import ActionCall
 from pnm.core.machine.requests import CallOutcome
+from pnm.core.nature import Nature
 from pnm.errors import InputError
 from pnm.executor import Executor
 from pnm.journal.replay import ReplayedTask
@@ -129,6 +131,8 @@ class PlanTask:
             context.observer.began(began)
             reached = -inf if self._kept is None else self._kept.replay.now
             cleanup.callback(schedule(context.world, program.plan.timed, began, reached))
+            if (declared := program.plan.declared).domain.nature:
+                cleanup.callback(Prediction(Nature(declared), context.world).close)
             with context.task.stopwatch.of("execute"):
                 run = await context.runner.execute(plan_run)
         stopped = context.control.stopped

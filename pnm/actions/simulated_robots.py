@@ -15,6 +15,7 @@ from typing import Final, assert_never
 from uuid import UUID
 
 from pnm.actions.faults import NO_FAULTS, Fault, FaultKind, Faults
+from pnm.actions.prediction import Prediction
 from pnm.core.knowledge_base import KnowledgeBase, parse_fluent
 from pnm.core.logic.computed_values import MISSING, Question, Uncomputable, compute
 from pnm.core.logic.conditions import TOLERANCE, TRUE, Condition, data_in, evaluate, unmet
@@ -24,6 +25,7 @@ from pnm.core.machine.bindings import Binding, Bindings, Table, WhenLost, own_va
 from pnm.core.machine.plan_graph import GroundAction
 from pnm.core.machine.requests import Accepted, Ended, Outcome, OutcomeKind, Reporter, Request
 from pnm.core.message_fields import Combined, Comparison, Field, Flag, Test, parse_field
+from pnm.core.nature import Nature
 from pnm.errors import InputError
 from pnm.files.yaml_nodes import parse_value
 
@@ -168,6 +170,8 @@ class SimulatedRobots:
     """Seconds that an action without a planned duration takes."""
     speed: float = 1.0
     """Seconds of the world per second of the clock."""
+    nature: Nature | None = None
+    """What happens in the world by itself, where anything does."""
     capacities: Mapping[str, int] = field(default_factory=dict)
     """The number of jobs that may use a resource at the same time; one for those not listed."""
     clashes: list[str] = field(default_factory=list)
@@ -180,6 +184,7 @@ class SimulatedRobots:
     _seen: dict[int, int] = field(default_factory=dict)
     _chance: random.Random = field(init=False)
     _begun: bool = False
+    _going_on: Prediction | None = None
     _timers: dict[Callable[[], None], asyncio.TimerHandle] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -194,6 +199,8 @@ class SimulatedRobots:
         timed = [(change.at, change.changes) for change in self.faults.changes if change.at is not None]
         for time, due in (*timed, *((change.time, change.changes) for change in self.scheduled)):
             self._later(time, self.world.change, due)
+        if self.nature:
+            self._going_on = Prediction(self.nature, self.world.truth, self.speed)
 
     def go_on_from(self, known: KnowledgeBase, passed: float) -> None:
         """Begin in the world that another process knew, so many seconds after its beginning."""
@@ -205,6 +212,8 @@ class SimulatedRobots:
         """Cancel all timers: the world no longer changes."""
         for timer in self._timers.values():
             timer.cancel()
+        if self._going_on:
+            self._going_on.close()
 
     # --- ActionClient ---------------------------------------------------------------------------
 
@@ -277,6 +286,8 @@ class SimulatedRobots:
             action = replace(action, end_effects=way.effects, outcome=way.name)
         if fault and fault.succeeded is not None:
             action = replace(action, end_effects=fault.succeeded)
+        if self._going_on:
+            self._going_on.bring_up_to_date()
         begun = self.world.begin(action) if ways or not forced else f"{action} has no outcome {forced!r}"
         report(Accepted(request.id))
         if isinstance(begun, str):
@@ -318,6 +329,8 @@ class SimulatedRobots:
                 job.timer = self._later(duration, self._succeed, job)
 
     def _succeed(self, job: _Job) -> None:
+        if self._going_on:
+            self._going_on.bring_up_to_date()
         if job.broken:
             self._fail(job, OutcomeKind.ABORTED, f"{job.request.action} went wrong: {job.broken} was not true all the time")
             return
