@@ -102,6 +102,8 @@ def problem_now(problem: Problem, knowledge: KnowledgeBase, elapsed: float = 0.0
     Fluents of undeclared things, which sensors may report, are left out, and so are numbers that are not finite.
     """
 
+    problem = with_found(problem, knowledge)
+
     @cache
     def members(types: Types) -> frozenset[str]:
         return frozenset(name for kind in types for name in problem.objects_by_type.get(kind, ()))
@@ -109,6 +111,14 @@ def problem_now(problem: Problem, knowledge: KnowledgeBase, elapsed: float = 0.0
     recorded = {fluent: value for fluent, value in knowledge.facts().items() if _is_declared(fluent, value, problem.domain, members)}
     init = {fluent: value for fluent, value in recorded.items() if not isinstance(value, Unknown)}
     return replace(later(problem, elapsed), init=init, unknown=frozenset(recorded.keys() - init.keys()))
+
+
+def with_found(problem: Problem, knowledge: KnowledgeBase) -> Problem:
+    """Return the problem with the objects that were found besides its own."""
+    if len(knowledge.objects(("object",))) <= len(problem.objects):
+        return problem
+    found = {name: problem.domain.joined(types) for name, types in sorted(knowledge.found().items()) if name not in problem.objects}
+    return replace(problem, own_objects={**problem.own_objects, **found}) if found else problem
 
 
 def later(problem: Problem, elapsed: float) -> Problem:

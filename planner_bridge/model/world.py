@@ -19,7 +19,7 @@ from pnm.core.logic.computed_values import fluents_in
 from pnm.core.logic.conditions import Compare, Computed, Condition, Holds, every_part
 from pnm.core.logic.domain import Declaration, Vocabulary
 from pnm.core.logic.effects import Set, When, every_effect, names_written
-from pnm.core.logic.expressions import DURATION, UNDEFINED, Constant, Fluent, Value, Variable, expression_fluents
+from pnm.core.logic.expressions import DURATION, EXISTS, UNDEFINED, Constant, Fluent, Value, Variable, expression_fluents
 from pnm.core.logic.rules import Rules
 from pnm.core.machine.bindings import Bindings
 from pnm.core.machine.plan_graph import Conditional
@@ -176,6 +176,7 @@ def robots_of(described: Problem | HandWrittenPlan, bindings: Bindings, faults: 
         changing = names_written(tuple(effect for call in calls for effect in (*call.action.start_effects, *call.action.end_effects)))
         changing |= dynamic_names(described.declared)  # a planner that takes over may use any action of the domain
     hidden = {fluent[0] for change in faults.changes for fluent in change.changes}
+    hidden |= {EXISTS for binding in bindings.actions.values() if binding.found}
     return SimulatedRobots(
         SimulatedWorld(initial_knowledge(described), changing | hidden),
         faults,

@@ -25,7 +25,7 @@ from planner_bridge.tasks.task_manager import TaskManager
 from pnm.core.knowledge_base import KnowledgeBase
 from pnm.core.logic.conditions import fluents
 from pnm.core.logic.effects import TimedChange
-from pnm.core.logic.expressions import Fluent, Unknown, Value, fluent_text
+from pnm.core.logic.expressions import EXISTS, Fluent, Unknown, Value, fluent_text
 from pnm.core.machine.bindings import Bindings
 from pnm.errors import InputError, suggestion
 from pnm.files.database.place import ServerUrl, place_of
@@ -74,7 +74,7 @@ class DealtRobots:
         about = " ".join(map(str, (whole.constraints, whole.preferences, whole.metric, whole.network)))
         if named := self._part_of.keys() & {*whole.domain.constants, *_WORD.findall(about)}:
             raise InputError(f"{min(named)} is named by the domain, or by a constraint: that cannot be divided among the parts of a fleet")
-        self._changing = dynamic_names(whole) - {TOTAL_COST, *TOTAL_TIME}
+        self._changing = dynamic_names(whole) - {TOTAL_COST, *TOTAL_TIME} | {EXISTS}
 
     @classmethod
     def of(cls, whole: Problem, options: Options) -> DealtRobots:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import asyncio
 import json
 import logging
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from itertools import product, starmap
@@ -17,14 +17,13 @@ from math import prod
 from pathlib import Path
 from typing import Final, TextIO
 
-from planner_bridge.model.grounding import ground_action, initial_knowledge, modelled_duration
+from planner_bridge.model.grounding import ground_action, initial_knowledge, modelled_duration, with_found
 from planner_bridge.model.problem import Problem
 from planner_bridge.model.world import robots_of
 from pnm.actions.faults import Faults
-from pnm.actions.simulated_robots import SimulatedRobots, arguments_of, result_of
+from pnm.actions.simulated_robots import SimulatedRobots, SimulatedWorld, arguments_of, result_of
 from pnm.clock import run_async
 from pnm.core.knowledge_base import statement_text
-from pnm.core.logic.conditions import Condition
 from pnm.core.logic.domain import MAX_CHOICES, ActionSchema
 from pnm.core.machine.bindings import Bindings, placeholders
 from pnm.core.machine.plan_graph import GroundAction
@@ -60,7 +59,7 @@ async def _serve(problem: Problem, bindings: Bindings, faults: Faults, speed: fl
 
         with suppress(asyncio.CancelledError):  # it may come before the servers are up
             logged = LoggedRobots(robots, log)
-            models = [fitted(model) for model in server_models(problem, bindings, robots.world.holds)]
+            models = [fitted(model) for model in server_models(problem, bindings, robots.world)]
             # The state before the servers: a client that finds them shall know the world.
             await publish_state(ros, robots.world, robots.world.reported(bindings.assumed), robots.begin)
             await SimulatedServers(ros, logged, robots.progress).open(
@@ -84,8 +83,7 @@ class ServerModel:
     choices: tuple[tuple[ActionSchema, Mapping[str, str]], ...]
     problem: Problem
     bindings: Bindings
-    holds: Callable[[Condition], bool]
-    """Whether a condition is true in the world now."""
+    world: SimulatedWorld
 
     def decode(self, data: Mapping[str, object]) -> GroundAction:
         """Return the action of a goal, by `action`, field names, or its goal mapping backwards; raise an `InputError` if none fits."""
@@ -95,7 +93,7 @@ class ServerModel:
         for schema, arguments in candidates:
             duration = modelled_duration(schema, arguments, state)
             action = ground_action(schema, arguments, planned if isinstance(planned, float) and planned > 0 else duration, state)
-            if len(candidates) == 1 or self.holds(action.precondition):
+            if len(candidates) == 1 or self.world.holds(action.precondition):
                 return action
         names = ", ".join(schema.name for schema, _ in self.choices)
         raise InputError(f"the goal fits none of the actions {names}, as they are bound and as the world is: {dict(data)}")
@@ -106,7 +104,7 @@ class ServerModel:
 
     def _candidates(self, data: Mapping[str, object]) -> Iterator[tuple[ActionSchema, tuple[str, ...]]]:
         """Yield the actions that the goal may mean, with arguments: for parameters of which it says nothing, every object that fits."""
-        named, problem, state = data.get("action"), self.problem, initial_knowledge(self.problem)
+        named, problem, state = data.get("action"), with_found(self.problem, self.world.truth), self.world.truth
         for schema, fixed in self.choices:
             told = arguments_of(self.bindings.of(schema.name).goal or {}, data)
             if told is None or (isinstance(named, str) and named != schema.name):
@@ -124,7 +122,7 @@ class ServerModel:
                     yield schema, tuple(map(str, arguments))
 
 
-def server_models(problem: Problem, bindings: Bindings, holds: Callable[[Condition], bool]) -> list[ServerModel]:
+def server_models(problem: Problem, bindings: Bindings, world: SimulatedWorld) -> list[ServerModel]:
     """Return the models of all servers that execute actions of the problem."""
     choices: dict[str, list[tuple[ActionSchema, Mapping[str, str]]]] = {}
     types: dict[str, str] = {}
@@ -135,7 +133,7 @@ def server_models(problem: Problem, bindings: Bindings, holds: Callable[[Conditi
             if named := bindings.of(schema.name).type:
                 types.setdefault(server, named)
     return [
-        ServerModel(server, types.get(server, DEFAULT_TYPE), tuple(served), problem, bindings, holds) for server, served in choices.items()
+        ServerModel(server, types.get(server, DEFAULT_TYPE), tuple(served), problem, bindings, world) for server, served in choices.items()
     ]
 
 

@@ -12,7 +12,7 @@ from pathlib import Path
 from time import monotonic
 from typing import Final
 
-from planner_bridge.model.grounding import problem_now
+from planner_bridge.model.grounding import problem_now, with_found
 from planner_bridge.model.problem import Problem
 from planner_bridge.pddl import write_domain, write_problem
 from planner_bridge.pddl.expressions import Group, Node, number, number_text, operands, parse, where, wrong
@@ -88,7 +88,7 @@ class WantedChange:
 class SharedWorld:
     """The facts of a problem's world, read and written as PDDL.
 
-    The mutable state is the object values of functions that `changes` has seen last.
+    The mutable state is the object values of functions that `changes` has seen last, and the names that objects had then.
 
     Args:
         elapsed: returns the seconds since the problem's initial state, by which timed facts of `problem_text` are earlier.
@@ -100,8 +100,7 @@ class SharedWorld:
         self.problem = problem
         self._knowledge = knowledge
         self._elapsed = elapsed
-        derived = problem.domain.rules.derived
-        self._scope = TermScope(SymbolTable(problem.domain, problem.objects, Requirements(problem.domain.requirements), derived=derived))
+        self._named: tuple[tuple[str, ...], TermScope] | None = None
         self._goals = {name: self._condition(text, f"goal {name}") for name, text in (goals or {}).items()}
         self._objects: dict[Fluent, str] = {}
         self.attend()
@@ -231,6 +230,16 @@ class SharedWorld:
         return self._condition(text, "goal")
 
     # --- reading ---------------------------------------------------------------------------------
+
+    @property
+    def _scope(self) -> TermScope:
+        """The names that texts may have: objects that were found have theirs."""
+        there = self._knowledge.objects(("object",))
+        if self._named is None or self._named[0] != there:
+            domain, objects = self.problem.domain, with_found(self.problem, self._knowledge).objects
+            symbols = SymbolTable(domain, objects, Requirements(domain.requirements), derived=domain.rules.derived)
+            self._named = there, TermScope(symbols)
+        return self._named[1]
 
     def _condition(self, text: str, origin: str) -> Condition:
         return self._checked(_single(text, origin), MAX_GOAL_CHOICES)

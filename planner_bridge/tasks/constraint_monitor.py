@@ -23,7 +23,7 @@ from pnm.clock import TimeLimit
 from pnm.core.knowledge_base import KnowledgeBase, Layered, Readers
 from pnm.core.logic.conditions import TOLERANCE, All
 from pnm.core.logic.domain import Preference
-from pnm.core.logic.expressions import NOTHING, Environment, choices
+from pnm.core.logic.expressions import NOTHING, Environment, OnlyObjects, choices
 from pnm.core.logic.rules import read_by
 from pnm.core.logic.trajectory import Constraint, ConstraintProgress, instances, is_fulfilled, names_in, observed_of, shifted
 from pnm.core.nature import Nature
@@ -63,12 +63,13 @@ class ConstraintMonitor:
     def __init__(self, problem: Problem, knowledge: Layered) -> None:
         self._problem = problem
         self._knowledge = knowledge
+        self._objects = OnlyObjects(problem.objects_by_type)  # also for a process that goes on: those that are found come besides
         self._constraints = [(constraint, self._instance(constraint)) for constraint in (*problem.domain.constraints, *problem.constraints)]
         self._preferences: list[tuple[Preference, list[list[_MonitoredConstraint]]]] = []
         for preference in (*problem.domain.preferences, *problem.preferences):
             wanted = preference.wanted
             constraints = wanted if isinstance(wanted, tuple) else (Constraint("at end", (wanted,)),)
-            chosen = choices(preference.variables, knowledge, NOTHING)
+            chosen = choices(preference.variables, self._objects, NOTHING)
             ground = [[watched for constraint in constraints for watched in self._instance(constraint, env)] for env in chosen]
             self._preferences.append((preference, ground))
         self._hard = [watched for _, instance in self._constraints for watched in instance]
@@ -95,7 +96,7 @@ class ConstraintMonitor:
     def _instance(self, constraint: Constraint, env: Environment = NOTHING) -> list[_MonitoredConstraint]:
         return [
             _MonitoredConstraint(ground, names_in(ground), ConstraintProgress((ground,)))
-            for ground in instances(constraint, self._knowledge, env)
+            for ground in instances(constraint, self._objects, env)
         ]
 
     @property

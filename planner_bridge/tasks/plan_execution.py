@@ -22,7 +22,7 @@ from pnm.core.execution.machine_index import prepare
 from pnm.core.execution.run import Run
 from pnm.core.knowledge_base import statement_text
 from pnm.core.logic.effects import names_written, possible_assignments
-from pnm.core.logic.expressions import Constant, Fluent, State, Unknown, Value, is_number
+from pnm.core.logic.expressions import EXISTS, Constant, Fluent, State, Unknown, Value, is_number
 from pnm.core.machine.generate import generate
 from pnm.core.machine.plan_graph import GroundAction, PlanGraph
 from pnm.core.machine.requests import CallOutcome
@@ -217,16 +217,19 @@ class PlanExecution(Observer):
         self._attention.set()
 
     def _changed(self, changes: Mapping[Fluent, Value | Unknown]) -> None:
-        """Call for attention when facts change otherwise than the calls change them."""
+        """Call for attention when facts change otherwise than the calls change them, or objects were found."""
+        news = {fluent: value for fluent, value in changes.items() if fluent[0] == EXISTS}
+        if news:
+            self._whole = None  # quantifiers range over more now
         # During a pause the plan is compared with the world once, when it is resumed.
-        if not self.is_eager or self._context.control.is_paused:
+        if not (news or self.is_eager) or self._context.control.is_paused:
             return
         whole, names = self._needed_at_first, self.run.machine.plan.used_by
-        if whole and whole.used.isdisjoint(changes):  # as most: all tasks hear of all changes
+        if not news and whole and whole.used.isdisjoint(changes):  # as most: all tasks hear of all changes
             return
         used = {fluent: value for fluent, value in changes.items() if (fluent in whole.used if whole else fluent[0] in names)}
-        progress = self.progress if used else None  # which takes a look at every call
-        if progress and (news := unforeseen(progress, relevant(progress, used), self._context.knowledge)):
+        progress = self.progress if used and self.is_eager else None  # which takes a look at every call
+        if news := news | (unforeseen(progress, relevant(progress, used), self._context.knowledge) if progress else {}):
             said = [
                 statement_text(fluent, value) for fluent, value in sorted(news.items(), key=lambda one: is_number(one[1]))
             ]  # facts first

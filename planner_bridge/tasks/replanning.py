@@ -359,7 +359,8 @@ def next_stretch(
     if given_up := history.given_up(limits):
         return given_up, history
     turned_out = [f"{result.call.action}: {result.declared}" for result in progress.calls if result.declared]
-    plan = policy.stretch(knowledge) if policy else None
+    knows_all = policy is not None and now.objects.keys() <= policy.problem.objects.keys()  # others were found since
+    plan = policy.stretch(knowledge) if policy and knows_all else None
     rest = stretch_graph(now, plan) if plan else None
     if rest and why_not(Progress.beginning(rest), knowledge, history.forbidden(limits) | unusable.keys()):
         rest = None  # what failed too often, or cannot be carried out now, is not part of any policy

@@ -86,7 +86,8 @@ def parse(text: str, file: str) -> Contents:
     _check_names(model, keys)
     domain = _domain(model, keys)
     problem = None if top.filled("problem") is None else _problem(model, domain, keys.problem)
-    bound = {name: read_binding(action) for name, action in keys.actions.items() if action.entry.nodes.keys() & BINDING_KEYS}
+    own = {name: action for name, action in keys.actions.items() if action.entry.nodes.keys() & BINDING_KEYS}
+    bound = {name: read_binding(action, name, model.vocabulary if action.found else None) for name, action in own.items()}
     return Contents(domain, problem, comments(text, [node.raw for node in nodes], top, domain) if "#" in text else {}, Bindings(bound))
 
 

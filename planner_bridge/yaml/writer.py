@@ -26,7 +26,7 @@ from pnm.core.logic.domain import ActionSchema, Declaration, DurationConstraint,
 from pnm.core.logic.effects import Effects, ForEach, OneOf, Set, When
 from pnm.core.logic.expressions import Arithmetic, Constant, Expression, ValueOf, Variable, fluent_text
 from pnm.core.logic.trajectory import Constraint
-from pnm.core.machine.bindings import DEFAULT, NO_BINDINGS, Binding, Bindings, Foreign, Table, WhenLost
+from pnm.core.machine.bindings import DEFAULT, NO_BINDINGS, Binding, Bindings, Foreign, Found, Table, WhenLost
 from pnm.core.machine.plan_graph import Moment, Ordering, PlanEvent, PlanGraph, necessary
 from pnm.core.message_fields import Combined, Comparison, FieldValue, Flag
 from pnm.core.net.orders import closure, reduced
@@ -365,6 +365,9 @@ def _value(value: object) -> Value:
             return str(value.value)
         case Table(of, rows):
             return _value({"of": of, "table": rows})
+        case Found(field, types, facts, limit, simulated):
+            parts = {"field": str(field), "type": types[0], "facts": [fluent_text(fact) for fact in facts], "limit": limit}
+            return _value(parts if simulated is None else {**parts, "simulated": simulated})
         case FieldValue(field, None):
             return str(field)
         case FieldValue(field, table):

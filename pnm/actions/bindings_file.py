@@ -8,17 +8,46 @@ from pathlib import Path
 from typing import Final
 
 from pnm.core.knowledge_base import parse_fluent
-from pnm.core.logic.domain import Vocabulary
+from pnm.core.logic.domain import FluentKind, Vocabulary
 from pnm.core.logic.expressions import Fluent
-from pnm.core.machine.bindings import _NAME, DEFAULT, NO_BINDINGS, Binding, Bindings, Foreign, Table, WhenLost, placeholders
+from pnm.core.machine.bindings import _NAME, DEFAULT, NO_BINDINGS, Binding, Bindings, Foreign, Found, Table, WhenLost, placeholders
 from pnm.errors import InputError, Position
-from pnm.files.yaml_keys import ANYTHING, Keys, Schema, choice, each, flag, names, node, number, ref, section, text, texts, whole
+from pnm.files.yaml_keys import (
+    ANYTHING,
+    TEXT,
+    Keys,
+    Schema,
+    choice,
+    each,
+    flag,
+    names,
+    needed,
+    node,
+    number,
+    ref,
+    section,
+    text,
+    texts,
+    whole,
+)
 from pnm.files.yaml_nodes import Mapped, Node, load_yaml
-from pnm.knowledge.field_reader import FieldTest, TabledField, field_test, field_value
+from pnm.knowledge.field_reader import FieldTest, TabledField, field_test, field_value, read_field
 
 _SERVER: Final = re.compile(r"~?[\w/{}]+", re.ASCII)
 """The name of an action server, in whose braces parameters stand."""
 _TYPE: Final = re.compile(r"[a-z][a-z0-9_]*/action/[A-Z][A-Za-z0-9]*")
+
+
+class FoundKeys(Keys):
+    """Objects that the result of an action names."""
+
+    field = needed(TEXT, "a result field: a list of names, or of messages with a field `name`")
+    type = needed(TEXT, "the type of those that the problem does not have")
+    facts = names("what is so of each of them, with `?found` for it", "nothing")
+    limit = whole("objects of the type that may be found altogether", 10, least=1)
+    simulated = node(
+        {"type": ["array", "object"]}, "what simulated robots find, each object once: such a list, or a table of them", "nothing"
+    )
 
 
 class BindingKeys(Keys):
@@ -60,6 +89,12 @@ class BindingKeys(Keys):
         "result fields, and the variables that keep them, or the facts and functions that they set: "
         '`{time: travel_time, degrees: "(temperature ?room)"}`',
         "every field, by its own name",
+    )
+    found = node(
+        FoundKeys.json(or_null=True),
+        "objects that a result names, and that the problem need not know: "
+        '`{field: objects, type: cup, facts: ["(in ?found ?room)"], limit: 10}`',
+        "none",
     )
     seconds = number("seconds that the action is expected to take, where the domain gives no duration: plans are measured by it", None, "1")
     timeout = number(
@@ -114,7 +149,8 @@ def bindings_in(top: Mapped, known: Vocabulary | None = None, *, strangers: bool
         if key in BindingKeys.known and not (value.is_mapping or value.is_null):
             raise InputError(f"{key!r} belongs under an action: two more spaces before it", where)
     entries = file.actions
-    actions = {name: read_binding(keys) for name, keys in entries.items()}
+    declared = entries if known is None or not strangers else known.actions
+    actions = {name: read_binding(keys, name, known if name in declared else None) for name, keys in entries.items()}
     if known is not None:
         for name, keys in entries.items():
             entry = keys.entry
@@ -148,8 +184,32 @@ def stored_fluents(store: Mapping[str, str], entry: Mapped) -> Iterator[tuple[Fl
                 raise value.wrong(error.message) from error
 
 
-def read_binding(keys: BindingKeys) -> Binding:
-    """Read the binding of one action."""
+def _found(keys: FoundKeys, action: str, known: Vocabulary | None) -> Found:
+    """Read which objects a result names."""
+    kind, types, facts = keys.type.text or "", frozenset[str](), list[Fluent]()
+    if known is not None:
+        known.check_type(kind, keys.type.position)
+        types = known.types[kind] - {kind, "object"}
+    for fact, item in zip(keys.facts, keys.entry.listed("facts"), strict=True):
+        try:
+            facts.append(parse_fluent(fact))
+        except InputError as error:
+            raise item.wrong(error.message) from error
+        if known is not None:
+            known.check_kind(facts[-1][0], FluentKind.FACT, item.position)
+            known.check_stored(action, facts[-1], item.position, (kind,))
+    source = None if keys.simulated is None else _source(keys.simulated)
+    rows = [*source.rows.values()] if isinstance(source, Table) else [source or []]
+    named = [item.get("name") if isinstance(item, dict) else item for row in rows for item in (row if isinstance(row, list) else [None])]
+    if keys.simulated is not None and not all(isinstance(name, str | int) for name in named):
+        raise keys.simulated.wrong("expected a list of names, or a table of such lists by a parameter")
+    if known is not None and keys.simulated is not None and isinstance(source, Table):
+        known.check_parameter(action, str(source.of)[1:], keys.simulated.position)
+    return Found(read_field(keys.entry), (kind, *sorted(types)), tuple(facts), keys.limit, source)
+
+
+def read_binding(keys: BindingKeys, action: str = "", known: Vocabulary | None = None) -> Binding:
+    """Read the binding of one action; where names are known, those of the objects that it finds are checked."""
     entry, goal, success, reason, final, store = keys.entry, keys.goal, keys.success, keys.reason, keys.final, keys.store
     tuple(stored_fluents(store, entry))  # which refuses what stands in parentheses and is none
     if goal is not None and not goal.is_mapping:
@@ -172,6 +232,7 @@ def read_binding(keys: BindingKeys) -> Binding:
         final=None if final is None else field_test(final),
         outcomes={name: field_test(test) for name, _, test in keys.told.entries()},
         store=store,
+        found=None if keys.found is None else _found(FoundKeys(keys.found.mapped()), action, known),
         seconds=keys.seconds,
         timeout=keys.timeout,
         accept=keys.accept,

@@ -342,6 +342,8 @@ class SimulatedRobots:
             try:
                 result = returned(job.request, self.world, self.bindings.of(ended.name))
                 result |= {"outcome": ended.outcome} if ended.outcomes else {}
+                if found := self.bindings.of(ended.name).found:
+                    self.world.change(found.facts_in(result, ended, self.world.truth)[0])
             except Uncomputable as error:
                 problem = f"the result of {job.request.action} cannot be computed: {error}"
         kind = OutcomeKind.ABORTED if problem else OutcomeKind.SUCCEEDED
@@ -436,13 +438,15 @@ class _Server:
 def returned(request: Request, world: SimulatedWorld, binding: Binding) -> dict[str, object]:
     """Return the result of a simulated server, without fields that have no value; raises `Uncomputable` as `compute` does.
 
-    Fields that set fluents have what is true of these.
+    Fields that set fluents have what is true of these; one that names objects has what the binding says.
     """
     env, result = {f"?{name}": value for name, value in own_values(request.action).items()}, dict[str, object]()
     for name, target in binding.store.items():
         value = world.truth.value(bind(parse_fluent(target), env)) if target.startswith("(") else UNKNOWN
         if value is not None and value is not UNKNOWN:
             _put(result, parse_field(name), value)
+    if binding.found is not None:
+        _put(result, binding.found.field, binding.found.rehearsed(request.action, world.truth))
     values = {name: compute(data, _Server(request.goal, world)) for name, data in request.action.returns}
     return result | {name: value for name, value in values.items() if value is not MISSING}
 

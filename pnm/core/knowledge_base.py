@@ -16,13 +16,14 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from operator import itemgetter
 from typing import Final, Generic, TypeVar
 
 from pnm.core.logic.compiled import RecordedState
 from pnm.core.logic.computed_values import MISSING
 from pnm.core.logic.derived_facts import DerivedFacts
 from pnm.core.logic.effects import Changes
-from pnm.core.logic.expressions import UNKNOWN, Constant, Fluent, Unknown, Value, absent_value, fluent_text, same_value
+from pnm.core.logic.expressions import EXISTS, UNKNOWN, Constant, Fluent, Unknown, Value, absent_value, fluent_text, same_value
 from pnm.core.logic.rules import NO_RULES, Reads, Rules
 from pnm.errors import InputError, check_seconds
 
@@ -82,7 +83,7 @@ class KnowledgeBase(RecordedState):
         return value
 
     def objects(self, types: tuple[str, ...], /) -> tuple[str, ...]:
-        """Return the objects of any of the types, in the order in which they were declared."""
+        """Return the objects of any of the types: in the order in which they were declared, then those that were found, by name."""
         if len(types) == 1:
             return self._objects.get(types[0], ())
         return tuple(dict.fromkeys(name for kind in types for name in self._objects.get(kind, ())))
@@ -90,6 +91,23 @@ class KnowledgeBase(RecordedState):
     def objects_by_type(self) -> dict[str, tuple[str, ...]]:
         """Return a copy of the objects of every type."""
         return dict(self._objects)
+
+    def found(self) -> dict[str, tuple[str, ...]]:
+        """Return the objects that were found, with their types and the supertypes of these."""
+        found: dict[str, tuple[str, ...]] = {}
+        for _, name, kind in (fluent for fluent, value in self._facts.items() if _is_found(fluent) and value is not False):
+            found[name] = (*found.get(name, ()), kind)
+        return found
+
+    def _note_objects(self, changes: Iterable[Fluent]) -> None:
+        """Note which objects are there, now that some were found, or turned out not to be there."""
+        if about := [fluent for fluent in changes if _is_found(fluent)]:
+            found, names = self.found(), {name for _, name, _ in about}
+            for kind in {"object", *(kind for _, _, kind in about)}:
+                others = (name for name in self._objects.get(kind, ()) if name not in names and name not in found)
+                self._objects[kind] = (*others, *sorted(name for name, kinds in found.items() if kind in ("object", *kinds)))
+            self._derived_facts = DerivedFacts(self.rules, self._facts, self.objects)
+            self._forget_changes()
 
     # derived facts
 
@@ -144,6 +162,8 @@ class KnowledgeBase(RecordedState):
                 self._forget_changes(_REMEMBERED // 2)
             if self.derived:
                 self._derived_facts.changed(real)
+            if EXISTS in map(itemgetter(0), real):
+                self._note_objects(real)
         if real or news:
             self._tell(real, {why: news} if news else {})
         return real
@@ -212,6 +232,7 @@ class KnowledgeBase(RecordedState):
         self._present = None
         self._objects = dict(objects)
         self._derived_facts = DerivedFacts(rules, self._facts, self.objects)
+        self._note_objects(facts)
         self._forget_changes()
         self._tell(changes)
 
@@ -276,8 +297,11 @@ class KnowledgeBase(RecordedState):
         return {fluent: value for fluent, value in values.items() if self.is_sensed(fluent)} if self._sensed else {}
 
     def assumed(self, changes: Changes) -> Changes:
-        """Return those of the changes that no sensor reports."""
-        return {fluent: value for fluent, value in changes.items() if not self.is_sensed(fluent)} if self._sensed else changes
+        """Return those of the changes that no sensor reports, or that are about an object which no sensor has known."""
+        if not self._sensed:
+            return changes
+        new = {fluent[1] for fluent in changes if _is_found(fluent) and self._facts.get(fluent) in (None, False)}
+        return {fluent: value for fluent, value in changes.items() if not (self.is_sensed(fluent) and new.isdisjoint(fluent))}
 
     def senses(self, names: frozenset[str]) -> bool:
         """Return whether all fluents of these names are sensed."""
@@ -345,6 +369,11 @@ class Layered:
         """Return the variable from the first layer that has it, or `MISSING`."""
         value = self.local.variable(name)
         return self.world.variable(name) if value is MISSING else value
+
+
+def _is_found(fluent: Fluent) -> bool:
+    """Return whether the fluent says that an object of a type is there."""
+    return fluent[0] == EXISTS and len(fluent) == 3
 
 
 def statement_text(fluent: Fluent, value: Value | Unknown) -> str:

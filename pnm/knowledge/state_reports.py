@@ -17,7 +17,7 @@ from typing import Final
 
 from pnm.core.knowledge_base import KnowledgeBase, statement_text
 from pnm.core.logic.domain import FluentKind, Vocabulary
-from pnm.core.logic.expressions import UNDEFINED, UNKNOWN, Fluent, Unknown, Value, absent_value
+from pnm.core.logic.expressions import EXISTS, UNDEFINED, UNKNOWN, Fluent, Unknown, Value, absent_value
 from pnm.core.readiness import Readiness, ReadyState
 from pnm.errors import InputError, suggestion
 
@@ -113,6 +113,10 @@ class StateReports:
 
     def record(self, names: Collection[str], facts: Mapping[Fluent, Value | Unknown], sequence: int = 0) -> None:
         """Record a report that is complete about the names; those of which it says what cannot be so become unknown."""
+        if self.known is not None and (EXISTS in names or len(self.knowledge.objects(("object",))) > len(self.known.objects)):
+            found = {**self.knowledge.found(), **KnowledgeBase(facts).found()}
+            if not found.keys() <= self.known.objects:
+                self.declare(self.known.with_objects(found))
         wrong = self._wrong(names, facts)
         if wrong:
             self._complaints.note(next(iter(wrong.values())))

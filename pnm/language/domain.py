@@ -181,6 +181,8 @@ def read_action(schema: ActionSchema, keys: Action, scope: FormulaScope) -> Lang
     is_open = keys.params is None
     inner = replace(scope, variables=None if is_open else {}).inside(schema.parameters)
     check_stored(keys.store, keys.entry, inner)
+    model, own = scope.declared, {variable.name[1:]: variable.types for variable in schema.parameters}
+    words = replace(model.vocabulary, actions={schema.name: own}) if keys.found and model.domain.fluents else None
     returns: list[tuple[str, Data]] = []
     for name, _, value in keys.simulated.entries():
         data = read_data(value, inner)
@@ -192,7 +194,7 @@ def read_action(schema: ActionSchema, keys: Action, scope: FormulaScope) -> Lang
         kind,
         keys.entry.start,
         is_open,
-        binding=read_binding(keys),
+        binding=read_binding(keys, schema.name, words),
         resources=tuple(keys.resources),
         returns=tuple(returns),
         recoveries=keys.recoveries,

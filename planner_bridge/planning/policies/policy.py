@@ -179,6 +179,7 @@ class Thinking:
     """
 
     def __init__(self, problem: Problem, timeout: float, cancel: CancelToken | None = None) -> None:
+        self.problem = problem
         self.policies: tuple[Policy, ...] = ()
         self._found, self._over = threading.Event(), threading.Event()
         stop = _Either(cancel)

@@ -10,7 +10,7 @@ from dataclasses import replace
 from typing import Any, Final, TypeAlias
 from uuid import UUID
 
-from pnm.core.execution.call_data import GoalFields, Intention, facts_of, finished, goal, possible, ready, sending, variables_of
+from pnm.core.execution.call_data import GoalFields, Intention, finished, goal, possible, ready, sending, variables_of
 from pnm.core.execution.call_results import CallResult
 from pnm.core.execution.events import Cancel, Command, Performed, Reattach, Send, Store
 from pnm.core.execution.handover import CallAttempt, UnderWay
@@ -294,7 +294,7 @@ class Calls(KeptState):
         if values:
             self._knowledge.local.store(values)
         closed, attempt = self._closed[call], self.attempts[call]
-        attempt.told = facts_of(outcome, self._plan.calls[call], attempt.action, self.binding(call), self.world)
+        attempt.learn(outcome, self._plan.calls[call], self.binding(call), self.world)
         has_all = closed is not None and (closed.needed is None or closed.needed.holds_by_facts(self.world))
         # now, before anything is written of its effects: they may change what it relies on
         if not has_all or attempt.intended.outcomes:

@@ -11,12 +11,13 @@ from dataclasses import dataclass, field, replace
 from math import inf, nextafter
 from uuid import UUID
 
-from pnm.core.execution.call_data import Intention, contradicted, denied_at_end, may_be_late, may_turn_out, unseen
+from pnm.core.execution.call_data import Intention, contradicted, denied_at_end, facts_of, may_be_late, may_turn_out, unseen
 from pnm.core.execution.call_results import CallResult
 from pnm.core.execution.questions import EvaluationContext
 from pnm.core.knowledge_base import KnowledgeBase
 from pnm.core.logic.conditions import Any, Condition, conjunction, conjuncts, evaluate, ground, names, observed, unmet
 from pnm.core.logic.effects import Changes, undo, values_before
+from pnm.core.machine.bindings import Binding
 from pnm.core.machine.plan_graph import ActionCall, GroundAction
 from pnm.core.machine.requests import Outcome, Request
 
@@ -57,6 +58,14 @@ class CallAttempt:
         self.accepted, self.unanswered, self.begun_after = now, None, world.changes
         self.begun = values_before(self.intended.start, world)  # before they are written, for a rollback if the call ends without success
         return self.intended.start
+
+    def learn(self, outcome: Outcome, call: ActionCall, binding: Binding, world: KnowledgeBase) -> None:
+        """Note which fluents the result of its success sets, and which objects it names; if one cannot be there, it has not succeeded."""
+        self.told = facts_of(outcome, call, self.action, binding, world)
+        if binding.found is not None and outcome.result:
+            found, wrong = binding.found.facts_in(outcome.result, self.action, world)
+            self.told |= found
+            self.denied = {**(self.denied or {}), **wrong} or None
 
     def finish(self, end: Changes, world: KnowledgeBase) -> Changes:
         """Note that the call has succeeded; return the effects of its end, of which its result knows best."""

@@ -206,7 +206,7 @@ class ReferenceRun:
                 if values := call_data.variables_of(report.outcome, planned, context.binding):
                     self.knowledge.local.store(values)
                     self.has_change = True
-                attempt.told = call_data.facts_of(report.outcome, planned, attempt.action, context.binding, self.knowledge.world)
+                attempt.learn(report.outcome, planned, context.binding, self.knowledge.world)
                 attempt.end(context, self.now, report.outcome)
         for transition in self._opened_by(call, kind)[:1]:
             self._fire(transition, None)

@@ -6,7 +6,7 @@ It knows neither format. `planner_bridge.model.problem` adds what only planners 
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import Enum
 from functools import cached_property
 from math import isfinite
@@ -14,7 +14,7 @@ from typing import Final, Literal, TypeAlias
 
 from pnm.core.logic.conditions import TRUE, Condition, choices_in
 from pnm.core.logic.effects import Alternative, Effects, TimedChange, choices_in_effects, has_outcomes, outcomes
-from pnm.core.logic.expressions import UNDEFINED, Expression, Fluent, OnlyObjects, Unknown, Value, Variable, fluent_text
+from pnm.core.logic.expressions import EXISTS, UNDEFINED, Expression, Fluent, OnlyObjects, Unknown, Value, Variable, fluent_text
 from pnm.core.logic.rules import NO_RULES, Rules
 from pnm.core.logic.trajectory import Constraint
 from pnm.errors import InputError, Position, suggestion
@@ -318,8 +318,12 @@ class Vocabulary:
             raise InputError(f"{action} can turn out in one way only, so there is no outcome {name!r}", position)
         _check(name, self.outcomes[action], "outcome", position)
 
-    def check_stored(self, action: str, fluent: Fluent, position: Position) -> None:
-        """Refuse a fluent that the result of an action cannot set: of undeclared names, or with other arguments than declared."""
+    def check_stored(self, action: str, fluent: Fluent, position: Position, found: Types = ()) -> None:
+        """Refuse a fluent that the result of an action cannot set: of undeclared names, or with other arguments than declared.
+
+        Args:
+            found: the types of what ``?found`` stands for.
+        """
         self.check_set(fluent[0], position)
         needed = self.signatures[fluent[0]].parameters
         if len(fluent) - 1 != len(needed):
@@ -328,10 +332,17 @@ class Vocabulary:
             if not argument.startswith("?"):
                 self.check_object(argument, types, position)
                 continue
-            self.check_parameter(action, argument[1:], position)
-            own = self.actions[action][argument[1:]]
+            if not (own := found if argument == "?found" else ()):
+                self.check_parameter(action, argument[1:], position)
+                own = self.actions[action][argument[1:]]
             if not any(self.types[kind] & {*types} for kind in own) and not any(self.types[kind] & {*own} for kind in types):
                 raise InputError(f"{argument} is a {alternatives(own)}; expected a {alternatives(types)}", position)
+
+    def with_objects(self, found: Mapping[str, Iterable[str]]) -> Vocabulary:
+        """Return the names with those of objects that were found, of these types, besides."""
+        new = {name: kinds for name, kinds in found.items() if name not in self.objects}
+        types = {name: frozenset({"object"}).union(*(self.types.get(kind, ()) for kind in kinds)) for name, kinds in new.items()}
+        return replace(self, objects=self.objects | new.keys(), types_of={**self.types_of, **types})
 
     def arguments(self, action: str, parameter: str) -> tuple[str, ...]:
         """Return the objects that a parameter of an action may stand for, in the order of the alphabet."""
@@ -372,6 +383,9 @@ class Vocabulary:
         name, text = fluent[0], fluent_text(fluent)
         if not self.may_be_reported(name) or name in self.fluents:
             self.check_set(name, None)
+        for found in fluent[2:] if name == EXISTS else ():
+            self.check_type(found, None)
+            self.check_object(fluent[1], (found,), None)
         signature = self.signatures.get(name)
         if signature is None:
             return
@@ -389,13 +403,13 @@ class Vocabulary:
 
     def may_be_reported(self, name: str) -> bool:
         """Return whether there may be facts of this name."""
-        return name in self.fluents or not self.is_complete
+        return name in self.fluents or name == EXISTS or not self.is_complete
 
     def _check_reported(self, name: str, reported: str, types: Iterable[str]) -> None:
         if reported in self.objects or name not in self.open:
             self.check_object(reported, types, None)
 
-    def check_type(self, name: str, position: Position) -> None:
+    def check_type(self, name: str, position: Position | None) -> None:
         """Refuse a type that is not declared."""
         _check(name, self.types, "type", position)
 

@@ -42,6 +42,10 @@ UNDEFINED: Final = "undefined"
 """The value of an object fluent that has none (PDDL 3.1), absent ones included. It is equal to nothing, itself included."""
 
 
+EXISTS: Final = "exists"
+"""The name of facts such as ``(exists cup_1 cup)``: an object is there that no problem declares. No domain has such a predicate."""
+
+
 class State(Protocol):
     """A state that conditions are evaluated in."""
 

@@ -26,6 +26,7 @@ from pnm.core.logic.conditions import (
     Computed,
     Condition,
     Exists,
+    ForAll,
     Holds,
     every_part,
     free_variables,
@@ -34,6 +35,7 @@ from pnm.core.logic.conditions import (
     polarities,
 )
 from pnm.core.logic.expressions import (
+    EXISTS,
     Fluent,
     Variable,
     expression_fluents,
@@ -227,12 +229,14 @@ Reads: TypeAlias = frozenset[Fluent | str] | None
 
 
 def read_by(condition: Condition, rules: Rules) -> Reads:
-    """Return the fluents that decide whether a condition holds: only if they change, or objects or rules do, the truth may change."""
+    """Return the fluents that decide whether a condition holds: only if they change, or rules do, the truth may change."""
     found: set[Fluent | str] = set()
     for part in every_part(condition):
         if isinstance(part, Computed):
             return None
-        if isinstance(part, Holds):
+        if isinstance(part, Exists | ForAll):
+            found.add(EXISTS)
+        elif isinstance(part, Holds):
             found |= reads_of(part.fluent, rules)
         elif isinstance(part, Compare):
             for fluent in (*expression_fluents(part.left), *expression_fluents(part.right)):

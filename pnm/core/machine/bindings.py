@@ -17,16 +17,22 @@ from enum import Enum
 from functools import partial
 from typing import Final, Protocol
 
-from pnm.core.knowledge_base import parse_fluent
+from pnm.core.knowledge_base import KnowledgeBase, parse_fluent
 from pnm.core.logic.computed_values import MISSING
-from pnm.core.logic.expressions import UNDEFINED, Fluent, Unknown, Value, bind
+from pnm.core.logic.conditions import Condition, Holds
+from pnm.core.logic.effects import Changes
+from pnm.core.logic.expressions import EXISTS, UNDEFINED, Fluent, Unknown, Value, bind
 from pnm.core.machine.plan_graph import GroundAction
 from pnm.core.machine.requests import Outcome, OutcomeKind
-from pnm.core.message_fields import FieldValue, Test, Unreadable, fields_in, shown, succeeds, value_in, written
+from pnm.core.message_fields import Field, FieldValue, Test, Unreadable, fields_in, shown, succeeds, value_in, written
 from pnm.errors import InputError, Position, check_counts, check_kinds, check_seconds
 
 ABOUT_THE_CALL: Final = frozenset({"action", "arguments", "duration"})
 """Goal fields about the call itself; they are filled as long as the fields of the goal are not known."""
+
+FOUND: Final = "?found"
+"""Stands in facts for an object that was found."""
+_NO_NAME: Final = re.compile(r"[^A-Za-z0-9_-]+")
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,6 +70,71 @@ class WhenLost(Enum):
 
 
 @dataclass(frozen=True, slots=True)
+class Found:
+    """Objects that a result names: those that nobody has known are there from then on."""
+
+    field: Field
+    """A list of names, or of messages with a field ``name``."""
+    types: tuple[str, ...]
+    """Their type, then its supertypes, as far as these are known."""
+    facts: tuple[Fluent, ...] = ()
+    """What is so of each of them, which ``?found`` stands for."""
+    limit: int = 10
+    """The number of objects of the type that may be found altogether."""
+    simulated: object = None
+    """What simulated robots find, each object once: such a list, or a `Table` of such lists by an argument."""
+
+    def facts_in(self, result: Mapping[str, object], action: GroundAction, world: KnowledgeBase) -> tuple[Changes, dict[Condition, str]]:
+        """Return what is so of the objects that a result names; nothing, and why, if one of them cannot be there."""
+        kind, there, wrong = self.types[0], {name.casefold(): name for name in world.objects(("object",))}, dict[Condition, str]()
+        try:
+            named = value_in(result, self.field)
+            values = [_name_in(item) for item in (named if isinstance(named, list) else [named])]
+        except Unreadable as error:
+            return {}, {Holds((EXISTS, FOUND, kind)): str(error)}
+        known, names = dict(there), set[str]()
+        for value in sorted(values):
+            name = self._name(value)
+            names.add(name := known.get(value.casefold()) or known.setdefault(name.casefold(), name))
+            if not name:
+                wrong[Holds((EXISTS, shown(value), kind))] = f"{shown(value)} names no object"
+            elif name.casefold() in there and name not in world.objects((kind,)):
+                wrong[Holds((EXISTS, name, kind))] = f"{name} is no {kind}"
+        new = sorted(names.difference(there.values()))
+        count = len(new) + sum(kind in types for types in world.found().values())
+        if new and count > self.limit:
+            wrong[Holds((EXISTS, new[-1], kind))] = f"{count} objects of type {kind} were found then; expected {self.limit} at most"
+        if wrong:
+            return {}, wrong
+        env = {f"?{name}": value for name, value in own_values(action).items()}
+        facts: Changes = {(EXISTS, name, each): True for name in new for each in self.types}
+        return facts | {bind(fact, {**env, FOUND: name}): True for name in sorted(names) for fact in self.facts}, {}
+
+    def rehearsed(self, action: GroundAction, world: KnowledgeBase) -> list[object]:
+        """Return what a simulated robot finds: of all that there is, what nobody has found before."""
+        items, there = self.simulated, {name.casefold() for name in world.objects(("object",))}
+        if isinstance(items, Table):
+            items = items.rows.get(written(own_values(action).get(str(items.of)[1:])))
+        return [item for item in (items if isinstance(items, list) else ()) if self._name(_name_in(item)).casefold() not in there]
+
+    def _name(self, text: str) -> str:
+        """Return the name of an object as PDDL has it, with a letter at its beginning; empty if the text has no letter and no digit."""
+        name = _NO_NAME.sub("_", text).strip("_-")
+        return name if not name or name[0].isalpha() else f"{self.types[0]}_{name}"
+
+
+def _name_in(item: object) -> str:
+    """Return the name in an item of a list; raise `Unreadable` for one without."""
+    match item:
+        case dict():
+            return _name_in(value_in(item, Field(("name",))))
+        case str() | int() if not isinstance(item, bool):
+            return str(item)
+        case _:
+            raise Unreadable(f"{shown(item)} names no object")
+
+
+@dataclass(frozen=True, slots=True)
 class Binding:
     """Binding of one action; every field has a default."""
 
@@ -85,6 +156,8 @@ class Binding:
     """Tests of the result that tell how the action has turned out, by the names of its outcomes; the first that succeeds counts."""
     store: Mapping[str, str] = field(default_factory=dict)
     """Result fields and the variables they are stored in, or the fluents that they set; every other field is stored by its own name."""
+    found: Found | None = None
+    """The objects that its result names."""
     seconds: float | None = None
     """Seconds that the action is expected to take where the domain does not say so; None if nobody knows."""
     timeout: float | None = None

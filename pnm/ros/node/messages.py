@@ -344,6 +344,12 @@ def fitted_binding(binding: Binding, action_type: Any, example: Example = lambda
             needed = "a text" if isinstance(value, str) else "a boolean" if isinstance(value, bool) else "a number"
             if not (kind == "boolean" if isinstance(value, bool) else (TEXT if isinstance(value, str) else NUMBER).fullmatch(kind)):
                 raise InputError(f"{name} is a {kind}; {target} needs {needed}")
+    if binding.found is not None:
+        found = find_field(action_type.Result, parse_field(str(binding.found.field)))
+        if "/" in (kind := item_kind(found.kind) or ""):
+            find_field(_class_of(kind), parse_field("name"))
+        elif not (TEXT.fullmatch(kind) or NUMBER.fullmatch(kind)):
+            raise InputError(f"{binding.found.field} is a {found.kind}; expected a list of names, or of messages with a field 'name'")
     success = binding.success and fitted_test(binding.success, action_type.Result)
     reason = binding.reason and fitted_source(binding.reason, action_type.Result, ANY, "a value")
     final = binding.final and fitted_test(binding.final, action_type.Result)

@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 from pathlib import Path
+from types import SimpleNamespace
+from typing import cast
 
 import pytest
 
+from planner_bridge.model.grounding import initial_knowledge
 from planner_bridge.node.simulate import ServerModel, fitted, server_models
 from planner_bridge.pddl import parse_domain, parse_problem
 from pnm.actions.bindings_file import read_bindings
+from pnm.actions.simulated_robots import SimulatedWorld
 from pnm.core.machine.plan_graph import GroundAction
 from pnm.core.machine.requests import Outcome, OutcomeKind
 from pnm.errors import InputError
@@ -21,7 +25,8 @@ GRIP = "porter_msgs/action/Grip"
 
 def models(folder: Path, bindings: str) -> list[ServerModel]:
     problem = parse_problem(PROBLEM, parse_domain(DOMAIN))
-    return server_models(problem, read_bindings(written(folder / "bindings.yaml", bindings)), lambda _: True)
+    world = cast("SimulatedWorld", SimpleNamespace(holds=lambda _: True, truth=initial_knowledge(problem)))
+    return server_models(problem, read_bindings(written(folder / "bindings.yaml", bindings)), world)
 
 
 def test_named_constants_of_the_result_are_played_by_their_values(tmp_path: Path) -> None:

@@ -9,7 +9,7 @@ import pytest
 
 from planner_bridge.yaml.convert import exported, imported
 from pnm.actions.bindings_file import read_bindings
-from pnm.core.machine.bindings import DEFAULT, Binding, Bindings, Foreign, Table, WhenLost
+from pnm.core.machine.bindings import DEFAULT, Binding, Bindings, Foreign, Found, Table, WhenLost
 from pnm.core.message_fields import Combined, Comparison, FieldValue, Flag, parse_field
 from pnm.errors import InputError
 from pnm.language.plan import read_plans
@@ -32,6 +32,7 @@ EVERYTHING = Binding(
         "deep": {"list": [1, 2.5, True, None, "on"], "x": "(distance ?from ?to)"},
     },
     store={"time": "travel time"},
+    found=Found(STATUS, ("door",), (("leads", "?found", "?from", "?to"),), 3, Table("?to", {"hall": ["d7", {"name": "d8"}]})),
     seconds=6.0,
     timeout=30.0,
     accept=3.5,

@@ -1,0 +1,31 @@
+"""Objects that nobody knew, found by an action server over ROS 2: a new plan is about them, also in a process that goes on with it."""
+
+from __future__ import annotations
+
+import json
+from collections import Counter
+
+from tests.support.e2e.command_line import pnm
+from tests.support.processes import LIMIT
+from tests.support.runs.files import FINDS, TIDY
+
+CUPS = ("cup_7", "glass_2", "mug")
+
+
+def test_a_run_that_is_killed_goes_on_with_what_it_has_found(deploy):
+    deployment = deploy("tidy", texts=TIDY, bindings=FINDS, speed="2")
+    robots, journal = deployment.simulate().ready(), str(deployment.folder / "j")
+    run = deployment.run("--journal", journal)
+    robots.happens("start", "wash")
+    run.process.kill()
+    run.process.wait(LIMIT)
+    finished = deployment.finish(deployment.pnm(type(run), "resume", journal), robots)
+    assert (finished.status, finished.result["failures"]) == (0, []), finished.result
+    assert finished.truth.objects(("cup",)) == CUPS
+    starts = Counter(event["action"] for event in finished.events if event["event"] == "start")
+    assert starts == Counter(["search(kitchen)", "search(hall)", *(f"wash({cup})" for cup in CUPS)]) + Counter(
+        action for action in starts if action.startswith("pick")
+    ), starts
+    told = [json.loads(line) for line in pnm("replay", journal, "--json").stdout.splitlines()]
+    assert "(exists mug cup)" in json.dumps(told)
+    assert "(exists" in pnm("why", "--journal", journal, "--replan").output
