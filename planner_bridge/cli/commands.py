@@ -15,6 +15,7 @@ import click
 
 from planner_bridge.cli import options
 from planner_bridge.cli.options import command
+from pnm.core.net.no_collection import no_collection
 from pnm.errors import InputError
 from pnm.files.database.place import without_password
 from pnm.files.process import make_streams_safe, own_standard_output
@@ -59,7 +60,8 @@ class Commands(click.Group):
         """Return a command by name."""
         if cmd_name not in ELSEWHERE:
             return super().get_command(ctx, cmd_name)
-        module = import_module(f"planner_bridge.cli.{ELSEWHERE[cmd_name][0]}")
+        with no_collection():
+            module = import_module(f"planner_bridge.cli.{ELSEWHERE[cmd_name][0]}")
         return next(command for command in vars(module).values() if isinstance(command, click.Command) and command.name == cmd_name)
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:

@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from pnm.actions.faults import Faults
     from pnm.core.logic.domain import Vocabulary
     from pnm.core.machine.bindings import Bindings
+    from pnm.knowledge.sensor_model import Sensing
 
 
 P = ParamSpec("P")
@@ -356,6 +357,14 @@ def faults_in(file: Path | None, known: Vocabulary | None) -> Faults:
     from pnm.actions.faults import NO_FAULTS, read_faults  # here, because most commands simulate nothing
 
     return read_faults(file, known) if file else NO_FAULTS
+
+
+def sensing_in(file: Path | None, known: Vocabulary | None) -> Sensing:
+    """Read a file of sensors, of known names if these are given; none without a file."""
+    from pnm.knowledge.sensor_file import read_sensing  # here, because most commands hear no sensors
+    from pnm.knowledge.sensor_model import NO_SENSING
+
+    return read_sensing(file, known) if file else NO_SENSING
 
 
 # --- words on stderr ------------------------------------------------------------------------------

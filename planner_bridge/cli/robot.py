@@ -23,8 +23,6 @@ from pnm.clock import run_async
 from pnm.core.machine.bindings import NO_BINDINGS
 from pnm.core.readiness import Readiness, ReadyState
 from pnm.errors import InputError
-from pnm.knowledge.sensor_file import read_sensing
-from pnm.knowledge.sensor_model import NO_SENSING
 
 _STYLES: Final = {ReadyState.READY: "green", ReadyState.UNFIT: "bold red"}
 
@@ -89,12 +87,12 @@ def check(
     """
     chosen = options.chosen_files(domain, problem, plan_file)
     if isinstance(chosen, Path):
-        sensors = read_sensing(sensing) if sensing else NO_SENSING
+        sensors = options.sensing_in(sensing, None)
         settings = Settings(bindings=read_bindings(bindings) if bindings else NO_BINDINGS, sensing=sensors)
         rows = readiness_for_plan(chosen, name, settings, wait, options.plan_parameters(given))
     else:
         loaded = options.problem_in(*chosen)
-        sensors = read_sensing(sensing, loaded.vocabulary) if sensing else NO_SENSING
+        sensors = options.sensing_in(sensing, loaded.vocabulary)
         settings = Settings(bindings=bindings_for(chosen[0], bindings, loaded.vocabulary) or NO_BINDINGS, sensing=sensors)
         rows = readiness(loaded, settings, wait)
         for resource, actions in relied_on(loaded.domain, settings.bindings).items():

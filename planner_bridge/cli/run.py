@@ -10,6 +10,7 @@ from enum import Enum
 from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING
 
 import click
 
@@ -18,22 +19,22 @@ from planner_bridge.cli.console import SafeConsole
 from planner_bridge.cli.options import ADOPT, GIVEN, Seconds, command
 from planner_bridge.cli.run_console import ConsoleObserver, print_result
 from planner_bridge.pipeline.achieve import Actions, achieve
-from planner_bridge.pipeline.carry_out import carry_out
 from planner_bridge.pipeline.loading import RATES, beside, bindings_for, rates_for
-from planner_bridge.pipeline.roll_outs import VettedPlan, odds_of_plan
 from planner_bridge.planning.solve import check_planner
 from planner_bridge.tasks.result import Stopwatch, TaskResult
 from planner_bridge.tasks.settings import DEFAULTS, Settings, TaskObserver
 from planner_bridge.view.serving import Controlled, Operator, PageProcess
+from pnm.actions.faults import NO_FAULTS
 from pnm.clock import run_async
 from pnm.core.execution.events import broadcast
 from pnm.core.machine.machine import OnFailure
 from pnm.errors import InputError, PnmError
 from pnm.files.database.place import Place, without_password
 from pnm.journal.kept import DURABILITIES, JournalChoice
-from pnm.knowledge.sensor_file import read_sensing
-from pnm.knowledge.sensor_model import NO_SENSING
 from pnm.tasks import Code, Tasks
+
+if TYPE_CHECKING:
+    from planner_bridge.pipeline.roll_outs import VettedPlan
 
 
 @click.command(
@@ -150,11 +151,15 @@ def run(
     known_files = (rates or (None if isinstance(chosen, Path) else beside(chosen[0], RATES)), faults)
     with looked_at(choice, view, timeline, learned, controlled, known_files, force=force) as (kept, page):
         if isinstance(chosen, Path):
+            from planner_bridge.pipeline.carry_out import carry_out  # here and below, because most runs need none of these
+
             check_planner(planner)  # now, not when a plan is given up that took an hour
             settings = replace(settings, bindings=bindings_for(None, bindings, None) or DEFAULTS.bindings)
-            settings = replace(settings, sensing=read_sensing(sensing) if sensing else settings.sensing)
+            settings = replace(settings, sensing=options.sensing_in(sensing, None))
             parameters, going_wrong = options.plan_parameters(given), options.faults_in(faults, None)
             if least is not None:
+                from planner_bridge.pipeline.roll_outs import odds_of_plan
+
                 odds = odds_of_plan(chosen, name, parameters, settings, going_wrong, rates_for(None, rates) or DEFAULTS.learned)
                 if refusal := odds.refusal(least):
                     raise PnmError(f"the plan is not begun: {refusal}")
@@ -172,13 +177,15 @@ def run(
         else:
             with stopwatch.of("parse"):
                 loaded = options.problem_in(*chosen)
-                sensors = read_sensing(sensing, loaded.vocabulary) if sensing else NO_SENSING
                 bound = bindings_for(chosen[0], bindings, loaded.vocabulary) or DEFAULTS.bindings
                 known = rates_for(chosen[0], rates, grows=learns) or DEFAULTS.learned
                 bound = known.limiting(bound, loaded.domain.actions) if is_limited else bound
-                settings = replace(settings, bindings=bound, sensing=sensors, learned=known)
+                settings = replace(settings, bindings=bound, sensing=options.sensing_in(sensing, loaded.vocabulary), learned=known)
                 going_wrong = options.faults_in(faults, loaded.vocabulary)
-                if (vetted := VettedPlan.where_known(settings, going_wrong, known, least)) is not None:
+                if least is not None or (output is not Output.ENDING and (known, going_wrong) != (DEFAULTS.learned, NO_FAULTS)):
+                    from planner_bridge.pipeline.roll_outs import VettedPlan
+
+                    vetted = VettedPlan(settings, going_wrong, known, least)
                     settings = replace(settings, memory=vetted)
                 begin = partial(achieve, None, loaded, faults=going_wrong, stopwatch=stopwatch)
         with observed(output, console, settings, actions, page, vetted) as observer:

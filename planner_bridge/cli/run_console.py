@@ -8,14 +8,13 @@ import sys
 from collections.abc import Iterable
 from contextlib import ExitStack
 from pathlib import Path
-from typing import Final, NamedTuple
+from typing import TYPE_CHECKING, Final, NamedTuple
 from uuid import UUID
 
 from planner_bridge.cli.console import INDENT, EventLines, SafeConsole, ToldFailures
 from planner_bridge.cli.options import planner_words, print_warnings, waiting
 from planner_bridge.model.plan import Plan, PlanningResult
 from planner_bridge.node.node_log import NodeObserver, standing_words
-from planner_bridge.pipeline.roll_outs import VettedPlan
 from planner_bridge.tasks.replanning import BetterRest, Foreseen, PlanAgain, ResumePlan, decision_words
 from planner_bridge.tasks.result import TaskResult, Violation
 from planner_bridge.tasks.settings import TaskObserver
@@ -29,6 +28,9 @@ from pnm.core.machine.requests import Outcome, OutcomeKind, Request
 from pnm.core.machine.verification.verify import Proof
 from pnm.errors import Tolerated, counted
 from pnm.tasks import Code, ServedWorld, TaskCommands, TaskEnding, TaskListener, Tasks, TraceEvent, shortened
+
+if TYPE_CHECKING:
+    from planner_bridge.pipeline.roll_outs import VettedPlan
 
 _STEP: Final = re.compile(r" *[0-9.]+( s)? +")
 """The time of a step of a plan, in front of it."""

@@ -8,7 +8,6 @@ from pathlib import Path
 from time import monotonic
 from typing import TYPE_CHECKING, Any
 
-from planner_bridge.node.options import Options
 from pnm.core.machine.verification.verify import Proof
 from pnm.core.readiness import Readiness
 from pnm.errors import InputError, Tolerated
@@ -16,6 +15,7 @@ from pnm.journal.journal import NO_JOURNAL, Journal
 from pnm.tasks import EVENTS, ServedWorld, TaskCommands, Tasks
 
 if TYPE_CHECKING:
+    from planner_bridge.node.options import Options
     from pnm.ros.sim_time import SimClock
     from pnm.ros.tasks.executor_topics import Diagnosis
 

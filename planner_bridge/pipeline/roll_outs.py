@@ -198,11 +198,6 @@ class VettedPlan(Memory):
         self._least = least
         self.odds: GoalOdds | None = None
 
-    @staticmethod
-    def where_known(settings: Settings, faults: Faults, rates: Rates, least: float | None) -> VettedPlan | None:
-        """Return one for a task with these settings; None if no chance is asked for, and none is known."""
-        return None if least is None and not KnownRobots(rates, faults) else VettedPlan(settings, faults, rates, least)
-
     def plan(self, problem: Problem, timeout: float, search: Callable[[float], PlanningResult]) -> PlanningResult:
         """Return what the search finds; no plan, and why, if the odds of the first one are too low."""
         result = search(timeout)
