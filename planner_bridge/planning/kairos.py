@@ -47,6 +47,8 @@ LONGEST: Final = 5.0
 """Seconds for which a better plan is looked for at most, if nothing else is said: robots wait."""
 GLANCE: Final = 0.04
 """Seconds for that where people look at a plan, and no robot moves."""
+REHEARSAL: Final = 0.1
+"""Seconds for that where robots are simulated in virtual time, which stands still for the search: a better plan saves nobody any."""
 _POLL: Final = 0.05
 """Seconds between two looks at the cancel token."""
 _ADVICE: Final = re.compile(r"\s[^.()]*\(SolveOptions::\w+\)\.|\s\(see the note before\)")

@@ -27,6 +27,7 @@ from planner_bridge.ordering.interference import (
     with_forecasts,
 )
 from planner_bridge.ordering.robot_time import ExpectedTimes
+from planner_bridge.planning.kairos import REHEARSAL
 from planner_bridge.planning.solve import WORTH_IT, Improvement, can_be_improved, improvement, solve
 from planner_bridge.tasks.constraint_monitor import TaskMonitor
 from planner_bridge.tasks.context import Conflict, TaskContext
@@ -477,6 +478,8 @@ class PlanSearch:
         # The planner may not take longer than the task has left.
         timeout = max(0.01, min(settings.planner_timeout * share, self._monitor.limit.left))
         planner, improve, executor = settings.planner, settings.improve, settings.executor
+        if improve is None and is_virtual() and not (problem.domain.uncertain or problem.has_preferences):
+            improve = REHEARSAL
         told = partial(solve, problem, bindings=settings.bindings, learned=settings.learned)
 
         def search(limit: float) -> PlanningResult:

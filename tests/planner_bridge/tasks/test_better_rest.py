@@ -17,12 +17,15 @@ from planner_bridge.model.plan import Plan, PlanningResult, PlanningStatus, Plan
 from planner_bridge.model.problem import Metric, Problem
 from planner_bridge.ordering.plan_to_graph import plan_graph
 from planner_bridge.ordering.robot_time import ExpectedTimes
+from planner_bridge.planning.kairos import REHEARSAL
 from planner_bridge.planning.solve import EXCHANGE, WORTH_IT, Improvement, improvement, solve, steps_of
 from planner_bridge.tasks import plan_search
 from planner_bridge.tasks.replanning import BetterRest, PlanAgain, ResumePlan, decision_words
 from planner_bridge.tasks.result import TaskResult
 from planner_bridge.tasks.settings import Memory, Settings
 from pnm.actions.faults import NO_FAULTS, Fault, FaultKind, Faults, HiddenChange
+from pnm.core.logic.conditions import TRUE
+from pnm.core.logic.domain import Preference
 from pnm.core.logic.expressions import ValueOf
 from pnm.core.machine.bindings import Binding, Bindings
 from pnm.core.machine.machine import OnFailure
@@ -95,6 +98,23 @@ def test_a_better_rest_is_taken_while_calls_are_under_way_and_nothing_is_done_tw
 def test_nothing_is_improved_unless_it_is_asked_for(improve: float | None) -> None:
     result = carried_out(improve=improve)
     assert (len(done(result)), decisions(result), result.plans) == (11, [], 1)
+
+
+@pytest.mark.parametrize(
+    ("problem", "seconds"),
+    [(HOUSE, REHEARSAL), (replace(HOUSE, preferences=(Preference("p", TRUE),)), None)],
+    ids=["no robot saves time by it", "first plans often fulfil no preference"],
+)
+def test_a_plan_for_simulated_robots_is_found_soon(problem: Problem, seconds: float | None, monkeypatch: pytest.MonkeyPatch) -> None:
+    asked = list[object]()
+
+    def first(problem: Problem, **chosen: object) -> PlanningResult:
+        asked.append(chosen["improve"])
+        return PlanningResult(PlanningStatus.SOLVED, plan_of(ONE_BY_ONE))
+
+    monkeypatch.setattr(plan_search, "solve", first)
+    assert pursued(problem, NO_FAULTS, Settings(bindings=BINDINGS))[0].goal_reached
+    assert asked == [seconds]
 
 
 def test_the_same_is_done_without_known_seconds_and_by_a_metric() -> None:
