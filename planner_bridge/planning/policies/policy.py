@@ -206,11 +206,6 @@ class Thinking:
         return self.policies[0] if self.policies else None
 
     @property
-    def problem(self) -> Problem:
-        """That of every policy."""
-        return self.policies[0].problem
-
-    @property
     def entries(self) -> tuple[PolicyEntry, ...]:
         """Those of the best policy so far."""
         return self.policy.entries if self.policy else ()
