@@ -26,8 +26,8 @@ MOST: Final = 10_000
 """Steps, and turns, that are looked at."""
 
 
-class Happening(NamedTuple):
-    """A process, or an event, of these objects."""
+class Phenomenon(NamedTuple):
+    """A process, or an event, with its objects."""
 
     name: str
     condition: Condition
@@ -40,9 +40,9 @@ class Nature:
     def __init__(self, problem: ProblemModel) -> None:
         objects = OnlyObjects(problem.objects_by_type)
 
-        def of(schemas: Iterable[ActionSchema]) -> list[Happening]:
+        def of(schemas: Iterable[ActionSchema]) -> list[Phenomenon]:
             return [
-                Happening(schema.name, ground(schema.precondition, env), ground_effects(schema.end_effects, env))
+                Phenomenon(schema.name, ground(schema.precondition, env), ground_effects(schema.end_effects, env))
                 for schema in schemas
                 for env in choices(schema.parameters, objects, NOTHING)
             ]
@@ -110,7 +110,7 @@ class Nature:
         raise InputError(f"the event {events[0].name} has no end: its effects leave its condition true")
 
 
-def _rates(processes: Iterable[Happening], state: KnowledgeBase) -> dict[Fluent, float]:
+def _rates(processes: Iterable[Phenomenon], state: KnowledgeBase) -> dict[Fluent, float]:
     """Return by how much numbers change in a second."""
     rates: dict[Fluent, float] = {}
     for process in processes:
@@ -120,7 +120,7 @@ def _rates(processes: Iterable[Happening], state: KnowledgeBase) -> dict[Fluent,
     return rates
 
 
-def _move(state: KnowledgeBase, processes: Iterable[Happening], before: Mapping[Fluent, float], seconds: float) -> None:
+def _move(state: KnowledgeBase, processes: Iterable[Phenomenon], before: Mapping[Fluent, float], seconds: float) -> None:
     """Record the numbers as they are so many seconds later."""
     total, last = dict.fromkeys(before, 0.0), dict.fromkeys(before, 0.0)
     for part, weight in ((0.0, 1.0), (0.5, 2.0), (0.5, 2.0), (1.0, 1.0)):
