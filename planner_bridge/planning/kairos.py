@@ -7,7 +7,6 @@ import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
-from itertools import accumulate
 from math import inf
 from operator import attrgetter
 from typing import TYPE_CHECKING, Final
@@ -357,11 +356,13 @@ def _joined(diagnostics: Iterable[kairos.Diagnostic]) -> str:
 def _plan(plan: kairos.Plan, problem: Problem) -> Plan:
     """Return a plan of Kairos with the names of actions and objects spelled as in the problem."""
     names = SpelledNames(problem)
-    steps = tuple([names.step(step.name, step.args, step.time, step.duration) for step in plan.steps])
-    if problem.domain.nature:  # then Kairos takes what begins at one time one after the other, in this order
-        starts = accumulate((step.start for step in steps), lambda before, start: max(start, before + GAP))
-        steps = tuple([replace(step, start=start) for step, start in zip(steps, starts, strict=True)])
-    found = Plan(steps, temporal=problem.is_timed, cost=plan.cost if _has_cost(problem) else None)
+    steps = [names.step(step.name, step.args, step.time, step.duration) for step in plan.steps]
+    taken: list[float] = []
+    for number, step in enumerate(steps if problem.domain.nature else ()):  # then Kairos takes what is at one time one after the other
+        while any(abs(step.start - time) < GAP / 2.0 for time in taken):
+            steps[number] = step = replace(step, start=step.start + GAP)
+        taken += (step.start, step.start + step.duration)
+    found = Plan(tuple(steps), temporal=problem.is_timed, cost=plan.cost if _has_cost(problem) else None)
     return replace(found, until=plan.end) if plan.end and plan.end > found.makespan else found
 
 

@@ -53,7 +53,7 @@ BATTERY = """(define (domain battery)
   (:action plug :parameters () :precondition (and (not (plugged)) (not (moving))) :effect (plugged))
   (:durative-action drive :parameters () :duration (= ?duration 20)
     :condition (and (at start (not (there))) (over all (>= (charge) 5)))
-    :effect (and (at start (and (moving) (not (plugged)))) (at end (and (there) (not (moving)))))))"""
+    :effect (and (at start (and (moving) (not (plugged)))) (at end (and (there) (not (moving)) (decrease (charge) 1))))))"""
 
 
 def tank(goal: str = FULL) -> Problem:
@@ -65,8 +65,11 @@ def kettle(goal: str = "(poured)") -> Problem:
     return parse_problem(f"(define (problem p) (:domain kettle) (:init (= (temperature) 20)) (:goal {goal}))", parse_domain(KETTLE))
 
 
-def battery() -> Problem:
-    return parse_problem("(define (problem p) (:domain battery) (:init (= (charge) 6)) (:goal (there)))", parse_domain(BATTERY))
+def battery(goal: str = "(there)") -> Problem:
+    return parse_problem(f"(define (problem p) (:domain battery) (:init (= (charge) 6)) (:goal {goal}))", parse_domain(BATTERY))
+
+
+PROBLEMS = (tank(), tank("(>= (level t) 9)"), kettle(), kettle("(boils)"), battery(), battery("(and (there) (plugged))"))
 
 
 def planned(problem: Problem) -> Plan:
@@ -75,7 +78,7 @@ def planned(problem: Problem) -> Plan:
     return result.plan
 
 
-@pytest.mark.parametrize("problem", [tank(), tank("(>= (level t) 9)"), kettle(), kettle("(boils)"), battery()])
+@pytest.mark.parametrize("problem", PROBLEMS)
 def test_plans_wait_for_what_happens_by_itself(problem: Problem) -> None:
     assert problem.warnings == ()
     plan = planned(problem)
@@ -117,7 +120,7 @@ def test_only_kairos_plans_for_them() -> None:
     assert not any(Feature.NATURE in engine.supports for engine in ENGINES.values())
 
 
-@pytest.mark.parametrize("problem", [tank(), tank("(>= (level t) 9)"), kettle(), kettle("(boils)"), battery()])
+@pytest.mark.parametrize("problem", PROBLEMS)
 def test_plans_are_carried_out_while_things_happen_by_themselves(problem: Problem) -> None:
     result = achieve(None, problem)
     assert (result.code, result.replans) == (Code.GOAL_REACHED, 0), result.reason
