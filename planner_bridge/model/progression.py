@@ -180,15 +180,15 @@ class Progression:
 
 
 def foreseen(problem: Problem, plan: Plan) -> Problem:
-    """Return the problem with what processes and events do beside a plan, which must be valid, as facts that change by themselves."""
+    """Return the problem with the events that come about beside a plan, which must be valid, as facts that change by themselves."""
     if not problem.domain.nature:
         return problem
     simulation, calls, nature = Progression(initial_knowledge(problem)), calls_of(problem, plan), Nature(problem)
     timed, now = [*problem.timed], 0.0
     for happening in happenings(problem, plan):
         for passed, changed in nature.foresee(simulation.state, happening.time - now):
-            known = {fluent: value for fluent, value in changed.items() if not isinstance(value, Unknown)}
-            timed += [TimedChange(now + passed, known)] if known else []
+            facts = {fluent: value for fluent, value in changed.items() if not (fluent[0] in nature.moved or isinstance(value, Unknown))}
+            timed += [TimedChange(now + passed, facts)] if facts else []
             simulation.state.record(changed)
         now = happening.time
         simulation.advance([(event, calls[event.call].action) for event in happening.events], happening.changes)

@@ -23,7 +23,6 @@ from pnm.core.logic.effects import Effects, Set, TimedChange, When, changes, dec
 from pnm.core.logic.expressions import UNKNOWN, Fluent, Unknown, Value, expression_fluents, same_value
 from pnm.core.logic.trajectory import instances, names_in
 from pnm.core.machine.plan_graph import ActionCall, GroundAction, Moment, PlanEvent, PlanGraph, PlanGraphError
-from pnm.core.nature import Nature
 from pnm.core.net.no_collection import no_collection
 from pnm.errors import check_kinds
 
@@ -250,8 +249,8 @@ _OVER: Final = -1.0
 """The times, on the clock of the plan, at which running calls begin and end as far as their order to the others matters."""
 
 _NETWORK: Final[Fluent] = ("order of tasks",)
-"""Stands for a fluent that every event writes."""
 _NATURE: Final[Fluent] = ("processes and events",)
+"""Stand for fluents that every event writes."""
 
 
 @no_collection()
@@ -270,7 +269,8 @@ def plan_graph(problem: Problem, plan: Plan, under_way: Sequence[ActionCall] = (
     # Running calls come first, as if they ended just before the plan begins: its calls then wait for what they write.
     begun = [Happening(_BEGUN, (), tuple(links.starts[: len(running)])), Happening(_OVER, (), tuple(links.ends[: len(running)]))]
     _add(links, [*begun, *happenings(problem, plan, len(running))])
-    return _checked(problem, calls, links, projected=True)
+    graph = _checked(problem, calls, links, projected=True)
+    return replace(graph, due=plan.makespan) if problem.domain.nature else graph
 
 
 def stretch_graph(problem: Problem, plan: Plan, under_way: Sequence[ActionCall] = ()) -> PlanGraph:
@@ -341,12 +341,12 @@ def causal_links(problem: Problem, actions: Sequence[GroundAction]) -> CausalLin
     asked = _asked_by_domain(problem.domain).union(names(problem.goal), *map(names_in, problem.constraints))
     asked |= {fluent[0] for change in problem.timed for fluent in change.changes}
     read = frozenset(problem.domain.predicates) | problem.domain.rules.base(asked)  # by something besides the metric
-    links = CausalLinks(knowledge, dynamic_names(problem) & read, actions, problem.timed)
+    links = CausalLinks(knowledge, (dynamic_names(problem) & read) - problem.domain.moved, actions, problem.timed)
     # A network of tasks fixes the order of its steps in ways that reads and writes do not show.
     if problem.network:
         links.kept.append(OrderKept(_NETWORK))
-    if problem.domain.nature:  # the time at which an action changes what happens by itself shows in effects that come later
-        links.kept.append(OrderKept(_NATURE, links.relevant_of(Nature(problem).concerns(knowledge)), timed=True))
+    if problem.domain.nature:  # numbers that change all the time are read by all, and right only at the times of the plan
+        links.kept.append(OrderKept(_NATURE, timed=True))
     for constraint in (*problem.domain.constraints, *problem.constraints):
         for ground in instances(constraint, knowledge):
             mentioned = frozenset().union(*(fluents(condition, knowledge) for condition in ground.conditions))

@@ -10,13 +10,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
-from itertools import chain
 from typing import Final, NamedTuple
 
 from pnm.core.knowledge_base import KnowledgeBase
-from pnm.core.logic.conditions import TOLERANCE, Condition, evaluate, fluents, ground
+from pnm.core.logic.conditions import TOLERANCE, Condition, evaluate, ground
 from pnm.core.logic.domain import ActionSchema, ProblemModel
-from pnm.core.logic.effects import Changes, Effects, assignments, changes, ground_effects, names_written, read, written
+from pnm.core.logic.effects import Changes, Effects, assignments, changes, ground_effects
 from pnm.core.logic.expressions import NOTHING, Fluent, OnlyObjects, absent_value, choices, is_number, same_value, value_of
 from pnm.errors import InputError
 
@@ -48,8 +47,7 @@ class Nature:
             ]
 
         self._processes, self._events = of(problem.domain.processes.values()), of(problem.domain.events.values())
-        self.moved = frozenset(name for process in self._processes for name in names_written(process.effects))
-        """The functions whose numbers change as time passes."""
+        self.moved = problem.domain.moved
 
     def pass_time(self, state: KnowledgeBase, seconds: float, watched: Iterable[Condition] = ()) -> Iterator[float]:
         """Let time pass in a state, which changes; yield how many seconds have passed at first, at every turn, and at the end.
@@ -83,12 +81,6 @@ class Nature:
                 self._react(state)
                 yield passed
         yield seconds
-
-    def concerns(self, state: KnowledgeBase) -> frozenset[Fluent]:
-        """Return the fluents on which it depends what happens by itself, and those that it changes."""
-        every = (*self._processes, *self._events)
-        parts = ((fluents(one.condition, state), read(one.effects, state), written(one.effects, state)) for one in every)
-        return frozenset().union(*chain.from_iterable(parts))
 
     def foresee(self, state: KnowledgeBase, seconds: float, watched: Iterable[Condition] = ()) -> Iterator[tuple[float, Changes]]:
         """Yield the same times, each with what will have changed since the one before; the state stays as it is."""

@@ -13,7 +13,7 @@ from math import isfinite
 from typing import Final, Literal, TypeAlias
 
 from pnm.core.logic.conditions import TRUE, Condition, choices_in
-from pnm.core.logic.effects import Alternative, Effects, TimedChange, choices_in_effects, has_outcomes, outcomes
+from pnm.core.logic.effects import Alternative, Effects, TimedChange, choices_in_effects, has_outcomes, names_written, outcomes
 from pnm.core.logic.expressions import EXISTS, UNDEFINED, Expression, Fluent, OnlyObjects, Unknown, Value, Variable, fluent_text
 from pnm.core.logic.rules import NO_RULES, Rules
 from pnm.core.logic.trajectory import Constraint
@@ -123,6 +123,11 @@ class DomainModel:
     def nature(self) -> tuple[ActionSchema, ...]:
         """What happens by itself: processes and events."""
         return (*self.processes.values(), *self.events.values())
+
+    @cached_property
+    def moved(self) -> frozenset[str]:
+        """The functions whose numbers change as time passes."""
+        return frozenset(name for process in self.processes.values() for name in names_written(process.end_effects))
 
     @cached_property
     def schemas(self) -> tuple[ActionSchema, ...]:
