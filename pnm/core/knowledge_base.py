@@ -30,6 +30,8 @@ from pnm.errors import InputError, check_seconds
 _REMEMBERED: Final = 20_000
 """Changes that are remembered at most."""
 
+_NAME_OF: Final = itemgetter(0)
+
 Listener = Callable[[Mapping[Fluent, Value | Unknown]], None]
 
 
@@ -162,7 +164,7 @@ class KnowledgeBase(RecordedState):
                 self._forget_changes(_REMEMBERED // 2)
             if self.derived:
                 self._derived_facts.changed(real)
-            if EXISTS in map(itemgetter(0), real):
+            if EXISTS in map(_NAME_OF, real):
                 self._note_objects(real)
         if real or news:
             self._tell(real, {why: news} if news else {})
@@ -300,8 +302,11 @@ class KnowledgeBase(RecordedState):
         """Return those of the changes that no sensor reports, or that are about an object which no sensor has known."""
         if not self._sensed:
             return changes
-        new = {fluent[1] for fluent in changes if _is_found(fluent) and self._facts.get(fluent) in (None, False)}
-        return {fluent: value for fluent, value in changes.items() if not (self.is_sensed(fluent) and new.isdisjoint(fluent))}
+        unseen = {fluent: value for fluent, value in changes.items() if not self.is_sensed(fluent)}
+        if EXISTS in map(_NAME_OF, changes):
+            new = {fluent[1] for fluent in changes if _is_found(fluent) and self._facts.get(fluent) in (None, False)}
+            unseen |= {fluent: value for fluent, value in changes.items() if not new.isdisjoint(fluent)}
+        return unseen
 
     def senses(self, names: frozenset[str]) -> bool:
         """Return whether all fluents of these names are sensed."""

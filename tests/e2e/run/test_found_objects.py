@@ -6,7 +6,7 @@ import json
 from collections import Counter
 
 from tests.support.e2e.command_line import pnm
-from tests.support.processes import LIMIT
+from tests.support.processes import LIMIT, Program
 from tests.support.runs.files import FINDS, TIDY
 
 CUPS = ("cup_7", "glass_2", "mug")
@@ -29,3 +29,14 @@ def test_a_run_that_is_killed_goes_on_with_what_it_has_found(deploy):
     told = [json.loads(line) for line in pnm("replay", journal, "--json").stdout.splitlines()]
     assert "(exists mug cup)" in json.dumps(told)
     assert "(exists" in pnm("why", "--journal", journal, "--replan").output
+
+
+def test_results_of_servers_of_somebody_else_are_enough(deploy):
+    bindings = FINDS + "".join(f"  {name}: {{server: measure, goal: {{}}, retries: 0}}\n" for name in ("pick", "wash"))
+    deployment = deploy("tidy", texts=TIDY, bindings=bindings, quick=True)
+    servers = deployment.module(Program, "tests.support.e2e.programs.foreign_servers")
+    servers.until(lambda: servers.out)
+    status, result = deployment.run().result()
+    assert (status, result["goal_reached"], result["failures"]) == (0, True, []), result
+    washed = {call["arguments"][0] for call in result["calls"] if call["action"] == "wash"}
+    assert washed == {"kitchen_cup", "hall_cup"}

@@ -2,24 +2,33 @@
 
 from __future__ import annotations
 
+from asyncio import get_running_loop
 from pathlib import Path
 from typing import Any
+from unittest.mock import Mock
+from uuid import UUID
 
 import pytest
 from hypothesis import given, strategies as st
 
 from planner_bridge import achieve
 from planner_bridge.model.grounding import initial_knowledge, problem_now
+from planner_bridge.model.plan import Plan, PlanStep
+from planner_bridge.model.problem import Problem
 from planner_bridge.node.world_queries import SharedWorld
+from planner_bridge.ordering.plan_to_graph import plan_graph
 from planner_bridge.pddl import parse_domain, parse_problem
+from planner_bridge.tasks.replanning import History, Limits, NextStretch, Progress, next_stretch
 from planner_bridge.tasks.result import TASKS, TaskResult
 from planner_bridge.tasks.settings import OnChange, Settings
 from planner_bridge.yaml.writer import write_bindings
 from pnm.actions.bindings_file import read_bindings
+from pnm.actions.faults import Faults
 from pnm.core.knowledge_base import KnowledgeBase
 from pnm.core.logic.conditions import evaluate
 from pnm.core.machine.bindings import Found
 from pnm.core.machine.plan_graph import GroundAction
+from pnm.core.machine.requests import Ended, Outcome, OutcomeKind, Reporter, Request
 from pnm.core.message_fields import parse_field
 from pnm.journal.resume import replayed
 from pnm.knowledge.state_reports import StateReports
@@ -29,12 +38,15 @@ from tests.support.runs.simulated import in_virtual_time
 
 PROBLEM = parse_problem(TIDY[1], parse_domain(TIDY[0]))
 FOUND = Found(parse_field("objects"), ("cup", "item"), (("in", "?found", "?room"),))
+HOLDS = "(and (held ?i) (not (in ?i ?r)) (not (free)))"
 MUG = {("exists", "mug", "cup"): True, ("exists", "mug", "item"): True}
 
 
-def pursue(folder: Path, bindings: str = FINDS, **options: Any) -> TaskResult:
-    read = read_bindings(written(folder / "bindings.yaml", bindings), PROBLEM.vocabulary)
-    return achieve(PROBLEM.domain, PROBLEM, settings=Settings(bindings=read, **options), journal=folder / "journal")
+def pursue(
+    folder: Path, bindings: str = FINDS, *, on_change: OnChange = OnChange.LAZY, problem: Problem = PROBLEM, **how: Any
+) -> TaskResult:
+    read = read_bindings(written(folder / "bindings.yaml", bindings), problem.vocabulary)
+    return achieve(problem.domain, problem, settings=Settings(bindings=read, on_change=on_change), journal=folder / "journal", **how)
 
 
 def facts_in(named: object, world: KnowledgeBase) -> tuple[dict[Any, Any], list[str]]:
@@ -51,6 +63,51 @@ def test_a_goal_is_about_what_was_found_as_well(tmp_path: Path, on_change: OnCha
     world = replayed(tmp_path / "journal", TASKS).world
     assert (world.objects(("cup",)), world.objects(("plate",))) == (("cup_7", "glass_2", "mug"), ())
     assert evaluate(PROBLEM.goal, world) is True
+
+
+class Servers:
+    """Action servers of somebody else: all succeed at once, and nothing reports what they change."""
+
+    def goal_fields(self, action: GroundAction, /) -> tuple[str, ...]:
+        return action.parameters
+
+    def send(self, request: Request, report: Reporter, /) -> None:
+        seen = {"kitchen": [{"name": "mug"}], "hall": [{"name": "mug"}, {"name": "jar"}]}.get(request.action.arguments[0], [])
+        ended = Ended(request.id, Outcome(OutcomeKind.SUCCEEDED, {"detected_objects": seen}))
+        get_running_loop().call_soon(report, ended)
+
+    def reattach(self, request: Request, report: Reporter, /, *, accepted: bool) -> None:
+        self.send(request, report)
+
+    def cancel(self, request: UUID, /) -> None:
+        pass
+
+
+def test_results_alone_tell_what_is_there(tmp_path: Path) -> None:
+    result = pursue(tmp_path, actions=Servers())
+    assert (result.goal_reached, result.failures) == (True, ()), result
+    assert replayed(tmp_path / "journal", TASKS).world.found() == {"jar": ("cup", "item"), "mug": ("cup", "item")}
+
+
+def test_a_policy_is_one_for_what_is_there(tmp_path: Path) -> None:
+    domain = TIDY[0].replace(":adl", ":adl :non-deterministic").replace(HOLDS, f"(oneof {HOLDS} (and))")
+    problem = TIDY[1].replace("hall - room", "hall - room jar - cup").replace("(free)", "(free) (in jar hall)")
+    result = pursue(tmp_path, problem=parse_problem(problem, parse_domain(domain)), faults=Faults(seed=1))
+    assert (result.goal_reached, result.failures) == (True, ()), result
+    assert {"wash(jar)", "wash(mug)", "wash(glass_2)", "wash(cup_7)"} <= {str(call.call.action) for call in result.calls}
+
+
+def test_a_policy_says_nothing_of_what_was_found_since() -> None:
+    steps = tuple(PlanStep("search", (room,), float(number)) for number, room in enumerate(("hall", "kitchen")))
+    world, policy = initial_knowledge(PROBLEM), Mock(problem=PROBLEM, stretch=lambda state: Plan(steps))
+    progress, known = Progress.beginning(plan_graph(PROBLEM, Plan())), (History(), Limits(), {}, policy)
+    before, _ = next_stretch(problem_now(PROBLEM, world), progress, world, *known)
+    world.update({**MUG, ("clean", "mug"): True})  # so that the plan would work all the same
+    after, _ = next_stretch(problem_now(PROBLEM, world), progress, world, *known)
+    assert isinstance(before, NextStretch)
+    assert before.rest is not None
+    assert isinstance(after, NextStretch)
+    assert after.rest is None
 
 
 def test_a_call_that_finds_what_cannot_be_has_failed_and_says_why(tmp_path: Path) -> None:

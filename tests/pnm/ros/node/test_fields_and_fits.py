@@ -140,3 +140,23 @@ def test_items_of_lists_are_looked_at(tmp_path: Path) -> None:
     assert fitted_binding(binding(tmp_path, "{success: {field: 'sequence[-1]', gt: 5}}"), Fibonacci)
     with pytest.raises(InputError, match=r"Fibonacci_Goal has no field 'order\[0\]'|order is a int32; only a list has an item 0"):
         fitted_binding(binding(tmp_path, "{goal: {'order[0]': 3}}"), Fibonacci)
+
+
+@pytest.mark.parametrize(
+    ("action", "field", "message"),
+    [
+        ("test_msgs/action/Fibonacci", "sequence", ""),
+        ("pyrobosim_msgs/action/DetectObjects", "detected_objects", ""),
+        ("pyrobosim_msgs/action/DetectObjects", "found", "has no field 'found'"),
+        (
+            "pyrobosim_msgs/action/DetectObjects",
+            "execution_result.message",
+            "execution_result.message is a string; expected a list of names",
+        ),
+        ("pnm_interfaces/action/AchieveGoal", "trace", "has no field 'name'"),
+    ],
+)
+def test_a_field_that_names_objects_is_a_list_of_names(tmp_path: Path, action: str, field: str, message: str) -> None:
+    wanted = binding(tmp_path, f"{{found: {{field: {field}, type: cup}}}}")
+    refusal = input_error(lambda: fitted_binding(wanted, import_type(action)))
+    assert message in refusal.message if refusal else not message

@@ -1,6 +1,6 @@
 """Action servers that know nothing of this project, of types that are not ours. Run as a module.
 
-``count`` returns Fibonacci numbers, ``measure`` a number twice that of its goal. Each goal received is
+``count`` returns Fibonacci numbers, ``measure`` a number twice that of its goal, ``search`` a cup of the room. Each goal received is
 printed as a JSON object: what the servers say of it is the truth.
 """
 
@@ -9,6 +9,8 @@ from __future__ import annotations
 from typing import Any
 
 import rclpy
+from pyrobosim_msgs.action import DetectObjects
+from pyrobosim_msgs.msg import ObjectState
 from rclpy.action import ActionServer
 from test_msgs.action import Fibonacci, NestedMessage
 
@@ -31,11 +33,18 @@ def measure(handle: Any) -> NestedMessage.Result:
     return result
 
 
+def search(handle: Any) -> DetectObjects.Result:
+    say_json({"server": "search", "object": handle.request.target_object})
+    handle.succeed()
+    return DetectObjects.Result(detected_objects=[ObjectState(name=f"{handle.request.target_object} cup")])
+
+
 def main() -> None:
     rclpy.init()
     node = rclpy.create_node("foreign")
     ActionServer(node, Fibonacci, "count", count)
     ActionServer(node, NestedMessage, "measure", measure)
+    ActionServer(node, DetectObjects, "search", search)
     spin(node)
 
 
