@@ -270,7 +270,15 @@ def plan_graph(problem: Problem, plan: Plan, under_way: Sequence[ActionCall] = (
     begun = [Happening(_BEGUN, (), tuple(links.starts[: len(running)])), Happening(_OVER, (), tuple(links.ends[: len(running)]))]
     _add(links, [*begun, *happenings(problem, plan, len(running))])
     graph = _checked(problem, calls, links, projected=True)
-    return replace(graph, due=plan.makespan) if problem.domain.nature else graph
+    if not problem.domain.nature:
+        return graph
+    times = {PlanEvent(call.index, Moment.START): call.planned for call in calls}
+    times |= {PlanEvent(call.index, Moment.END): call.planned + (call.action.duration or 0.0) for call in calls}
+    apart = (
+        replace(one, delay=max(one.delay, round(times[one.after] - times[one.before], 6))) if one.after.moment is Moment.START else one
+        for one in graph.orderings
+    )  # who comes after a late call is as late: a process needs its time
+    return replace(graph, orderings=tuple(apart), due=plan.makespan)
 
 
 def stretch_graph(problem: Problem, plan: Plan, under_way: Sequence[ActionCall] = ()) -> PlanGraph:

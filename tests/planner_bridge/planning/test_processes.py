@@ -17,7 +17,7 @@ from planner_bridge.pipeline.achieve import achieve
 from planner_bridge.planning.engines import ENGINES, Feature, problem_kind
 from planner_bridge.planning.solve import solve
 from planner_bridge.planning.validate import why_invalid
-from pnm.actions.faults import Faults, HiddenChange
+from pnm.actions.faults import Fault, FaultKind, Faults, HiddenChange
 from pnm.actions.prediction import Prediction
 from pnm.clock import run_async
 from pnm.core.nature import Nature
@@ -124,6 +124,13 @@ def test_only_kairos_plans_for_them() -> None:
 def test_plans_are_carried_out_while_things_happen_by_themselves(problem: Problem) -> None:
     result = achieve(None, problem)
     assert (result.code, result.replans) == (Code.GOAL_REACHED, 0), result.reason
+
+
+def test_calls_after_a_late_one_are_as_late() -> None:
+    late = Fault("turn-on", FaultKind.SLOW, seconds=2.0)
+    result = achieve(None, tank(), faults=Faults((late,)))
+    assert (result.code, result.replans) == (Code.GOAL_REACHED, 0), result.reason
+    assert [round(call.started or 0.0) for call in result.calls] == [0, 18, 18]
 
 
 def test_a_prediction_that_fails_is_planned_for_anew() -> None:
