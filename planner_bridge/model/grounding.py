@@ -108,7 +108,12 @@ def problem_now(problem: Problem, knowledge: KnowledgeBase, elapsed: float = 0.0
     def members(types: Types) -> frozenset[str]:
         return frozenset(name for kind in types for name in problem.objects_by_type.get(kind, ()))
 
-    recorded = {fluent: value for fluent, value in knowledge.facts().items() if _is_declared(fluent, value, problem.domain, members)}
+    known = problem.init  # which has no other fluents
+    recorded = {
+        fluent: value
+        for fluent, value in knowledge.facts().items()
+        if known.get(fluent) is value or _is_declared(fluent, value, problem.domain, members)
+    }
     init = {fluent: value for fluent, value in recorded.items() if not isinstance(value, Unknown)}
     return replace(later(problem, elapsed), init=init, unknown=frozenset(recorded.keys() - init.keys()))
 

@@ -100,7 +100,8 @@ class GoalLoop:
             cleanup.callback(self._withdraw)
             cleanup.callback(self._search.end_ahead)
             cleanup.callback(self._search.end_improving)
-            cleanup.callback(self._context.world.listen(lambda changes: self._facts_changed.set() if changes else None))
+            if self._context.helper is not None:  # else nobody asks: all that listen hear of every change
+                cleanup.callback(self._context.world.listen(lambda changes: self._facts_changed.set() if changes else None))
             self._monitor.begin(cleanup)
             while True:
                 self._facts_changed.clear()

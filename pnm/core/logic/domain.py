@@ -229,8 +229,9 @@ class ProblemModel:
     def objects_by_type(self) -> dict[str, tuple[str, ...]]:
         """For every type, its objects in the order in which they were declared."""
         objects: dict[str, list[str]] = {name: [] for name in ("object", *self.domain.types)}
+        kinds = {types: sorted(self.all_types(types)) for types in {*self.objects.values()}}
         for name, types in self.objects.items():
-            for kind in sorted(self.all_types(types)):
+            for kind in kinds[types]:
                 objects.setdefault(kind, []).append(name)
         return {kind: tuple(names) for kind, names in objects.items()}
 
