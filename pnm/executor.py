@@ -220,8 +220,10 @@ class Executor:
             self.journal.confirmed(event.request, self.run.resources)
 
     def _enter(self) -> None:
+        hears_of = self.run.hears_of  # looked up once: all runs are asked at every change
+
         def changed(changes: Mapping[Fluent, Value | Unknown]) -> None:
-            if self.run.hears_of(changes):  # whatever it decides later, it decides by what is known then
+            if hears_of(changes):  # whatever it decides later, it decides by what is known then
                 self._put_once(events.KnowledgeChanged())
 
         knowledge, resources = self.run.knowledge, self.run.resources

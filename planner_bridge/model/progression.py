@@ -228,7 +228,7 @@ def present_state(state: KnowledgeBase, runs: Iterable[RunView]) -> KnowledgeBas
     A call under way is taken to succeed, so its start is taken to have come about as well, until a sensor says something else: with
     one that is slower than the others, a robot would otherwise be planned with where it has just left.
     """
-    begun = {fluent: value for run in runs for fluent, value in run.unreported.items()}
+    begun = {fluent: value for run in (runs if state.sensed_names() else ()) for fluent, value in run.unreported.items()}
     if not begun:
         return state
     present = snapshot(state)

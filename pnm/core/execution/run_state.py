@@ -100,7 +100,7 @@ class Agenda(KeptState):
 
     def hears_of(self, changed: Collection[Fluent]) -> bool:
         """Return whether places are asked again when these facts change, or, if there are none, something else that is known."""
-        if not self._readers:
+        if not self._readers.reads:  # no call: all runs are asked at every change
             return False
         return not changed or self._world.rules is not self._rules or bool(self._readers.concerned(changed))
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter, deque
-from collections.abc import Collection, Mapping
+from collections.abc import Callable, Collection, Mapping
 from math import inf
 from typing import Any, Final
 from uuid import UUID
@@ -206,9 +206,10 @@ class RunView(KeptState):
         """Whether the run is paused: nothing starts, and nothing is under way any more."""
         return self._state.pause is not None and self._state.idle
 
-    def hears_of(self, changed: Collection[Fluent]) -> bool:
-        """Return whether a decision is pending that may be another one when these facts have changed; without any, variables have."""
-        return self._agenda.hears_of(changed)
+    @property
+    def hears_of(self) -> Callable[[Collection[Fluent]], bool]:
+        """Tells whether a decision is pending that may be another one when facts have changed; without any, variables have."""
+        return self._agenda.hears_of
 
     @property
     def awaits(self) -> bool:
