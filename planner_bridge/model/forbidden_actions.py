@@ -29,11 +29,13 @@ class ForbiddenCall:
 
     action: str
     arguments: tuple[str, ...]
+    awaited: bool = False
+    """Whether it may be used as soon as more is known."""
 
     @staticmethod
-    def of(action: GroundAction) -> ForbiddenCall:
+    def of(action: GroundAction, *, awaited: bool = False) -> ForbiddenCall:
         """Return the value that forbids this ground action."""
-        return ForbiddenCall(action.name, action.arguments)
+        return ForbiddenCall(action.name, action.arguments, awaited)
 
     def covers(self, action: GroundAction) -> bool:
         """Whether the ground action is forbidden."""

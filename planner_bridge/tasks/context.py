@@ -11,7 +11,7 @@ from uuid import UUID
 
 from planner_bridge.model.forbidden_actions import ForbiddenCall, calls_acquiring, calls_served_by
 from planner_bridge.model.problem import Problem
-from planner_bridge.model.progression import present_state
+from planner_bridge.model.progression import present_state, snapshot
 from planner_bridge.ordering.interference import Forecast, ReadWriteSets, interference
 from planner_bridge.tasks.control import TaskControl
 from planner_bridge.tasks.replanning import History
@@ -20,6 +20,8 @@ from planner_bridge.tasks.task import Task
 from pnm.core.execution.questions import EvaluationContext
 from pnm.core.execution.run import Run
 from pnm.core.knowledge_base import KnowledgeBase, Layered
+from pnm.core.logic.conditions import conjuncts, evaluate, fluents, observed
+from pnm.core.logic.expressions import UNKNOWN
 from pnm.core.machine.bindings import goal_data
 from pnm.core.machine.plan_graph import ActionCall
 from pnm.core.resources import Resources
@@ -113,6 +115,13 @@ class TaskContext:
             binding, fields = bindings.of(action.name), self.runner.backend.client.goal_fields(action)
             if goal_data(action, binding, fields, EvaluationContext(self.knowledge, action, binding))[1]:  # fields without a value
                 found[ForbiddenCall.of(action)] = "needs a value that is missing"
+        state = self.present
+        for action in history.refused:
+            for part in (part for part in conjuncts(action.precondition) if evaluate(part, state) is UNKNOWN):
+                counted = snapshot(state)
+                counted.update({fluent: False for fluent in fluents(part, state) if state.value(fluent) is UNKNOWN})
+                if evaluate(part, counted) is True:  # as planners count
+                    found[ForbiddenCall.of(action, awaited=True)] = f"needs {part}, but {observed(part, state)}"
         return found
 
     def forbidden(self, history: History) -> frozenset[ForbiddenCall]:

@@ -48,7 +48,8 @@ from pnm.tasks import Code, OnConflict, TaskState
 _ELSEWHERE: Final = 60.0
 """Seconds for which a task without a plan waits for servers that are at work on goals of other programs, or on forgotten ones."""
 _RETURN: Final = 15.0
-"""Seconds for which a task without a plan waits for action servers that are missing: how long a robot takes to start."""
+"""Seconds for which a task without a plan waits for action servers that are missing, or for facts of which nothing is known: how long
+a robot takes to start."""
 _LOOK: Final = 1.0
 """Seconds between two looks whether they still are."""
 _HINT: Final = 0.1
@@ -73,10 +74,12 @@ class NoPlan(Exception):
     def __init__(
         self, result: PlanningResult, forbidden: frozenset[ForbiddenCall], busy: tuple[str, ...] = (), missing: tuple[str, ...] = ()
     ) -> None:
-        failed = sorted(str(call) for call in forbidden if ANY not in call.arguments)
+        failed = sorted(str(call) for call in forbidden if ANY not in call.arguments and not call.awaited)
+        awaited = sorted(str(call) for call in forbidden if call.awaited)
         lacking = sorted(str(call) for call in forbidden if ANY in call.arguments)
         without = [
             *([f" without {', '.join(failed)}, not to be tried again"] if failed else []),
+            *([f" without {', '.join(awaited)}, for which too little is known"] if awaited else []),
             *([f" without {', '.join(lacking)}, whose servers or resources are not to be had"] if lacking and not missing else []),
             *([f" without the action server {' and '.join(missing)}, which is missing"] if missing else []),
         ]
@@ -87,6 +90,7 @@ class NoPlan(Exception):
         self.status = result.status
         self.busy = busy
         self.missing = missing
+        self.awaits = bool(missing or awaited)
 
 
 @dataclass(frozen=True, slots=True)
@@ -246,7 +250,7 @@ class PlanSearch:
         """Search for a plan; while there is none, wait for facts to change and search again, for these seconds.
 
         While servers are at work on what this process has not asked for, it waits longer, for `_ELSEWHERE` seconds; for those that are
-        missing, `_RETURN` seconds.
+        missing, or for what is not known, `_RETURN` seconds.
 
         Raises:
             NoPlan: there is none, and it has waited long enough.
@@ -262,7 +266,7 @@ class PlanSearch:
                     return await search()
                 except NoPlan as no_plan:
                     began = loop.time() if began is None else began
-                    longer = _ELSEWHERE if no_plan.busy else _RETURN if no_plan.missing else 0.0
+                    longer = _ELSEWHERE if no_plan.busy else _RETURN if no_plan.awaits else 0.0
                     until = began + max(patience, longer)
                     if no_plan.status not in _NO_PLAN or loop.time() >= until:
                         raise

@@ -106,6 +106,8 @@ class History:
     """Runs in a row in which no call succeeded."""
     reached: Reached = Reached()
     stretches: int = 0
+    refused: frozenset[GroundAction] = frozenset()
+    """Actions whose precondition was not true: as long as a planner counts what is unknown of it as false, they would not begin again."""
 
     @staticmethod
     def of_plan(given_up: Iterable[GroundAction], unconfirmed: Iterable[GroundAction], limits: Limits) -> History:
@@ -139,6 +141,7 @@ class History:
         at_work += [result.call for result in calls if result.kind is CallOutcome.UNCONFIRMED]
         uninformed = {call.action for failure, call in of_calls if failure.cause is Cause.DATA_MISSING}
         of_lost = (call.action for failure, call in of_calls if failure.cause is Cause.LOST)
+        refused = {call.action for failure, call in of_calls if failure.cause is Cause.PRECONDITION_FALSE}
         lost = {action for action in of_lost if bindings.of(action.name).when_lost is WhenLost.ABORT}
         return History(
             failed,
@@ -151,6 +154,7 @@ class History:
             0 if succeeded else self.fruitless + 1,
             self.reached,
             self.stretches,
+            self.refused | refused,
         )
 
     def given_up(self, limits: Limits) -> GiveUp | None:
@@ -252,7 +256,8 @@ def decision_words(decision: Decision | None) -> str:
             goes_on = f"the rest of the plan still works: going on with {counted(len(rest.calls), 'call')} in a new machine"
             return "; ".join(filter(None, (goes_on, because)))
         case PlanAgain(forbidden, why, because):
-            calls = sorted(str(call) for call in forbidden if ANY not in call.arguments)  # of others it is said what they lack
+            # of others it is said what they lack
+            calls = sorted(str(call) for call in forbidden if ANY not in call.arguments and not call.awaited)
             never = f"not again: {', '.join(calls)}" if calls else ""
             return f"a new plan is needed: {'; '.join(filter(None, (why, because, never)))}"
         case BetterRest(why):

@@ -2,18 +2,31 @@
 
 from __future__ import annotations
 
+import asyncio
 from itertools import pairwise
 from random import Random
 
 import pytest
 
+from planner_bridge.pddl import parse_domain, parse_problem
 from planner_bridge.tasks.replanning import GiveUp, Limits, Reached
+from planner_bridge.tasks.settings import Settings
 from pnm.actions.faults import Fault, FaultKind, Faults, HiddenChange
+from pnm.core.logic.expressions import UNKNOWN
 from pnm.core.machine.bindings import Binding, Bindings
 from pnm.tasks import Code
 from tests.support.pddl.problems import rooms
 from tests.support.tasks.replanning import decisions, pursued
+from tests.support.tasks.simulation import TaskSimulation, simulate_tasks
 
+DOORS = """(define (domain doors) (:requirements :negative-preconditions)
+ (:predicates (locked) (inside) (outside) (round))
+ (:action enter :parameters () :precondition (not (locked)) :effect (inside))
+ (:action leave :parameters () :effect (outside))
+ (:action climb :parameters () :precondition (outside) :effect (round))
+ (:action jump :parameters () :precondition (round) :effect (inside)))"""
+INSIDE = "(define (problem p) (:domain doors) (:goal (inside)))"
+ONE_WAY = DOORS.replace("(:action climb :parameters () :precondition (outside)", "(:action climb :parameters () :precondition (inside)")
 IN_VAIN = "replans brought no progress: nothing new is known, and no fewer calls are left"
 NO_RETRY = Bindings({"move": Binding(retries=0)})
 
@@ -56,3 +69,34 @@ def test_no_task_replans_for_ever(seed: int) -> None:
         reached = reached.at_replan({f"fact {rng.randrange(facts)}" for _ in range(rng.choice([0, 0, 1]))}, left)
         replans += 1
         assert replans <= (facts + 1) * (longest + 2) * (most + 1)
+
+
+@pytest.mark.parametrize("opens_after", [None, 8.0])
+def test_a_fact_that_is_not_known_is_no_longer_taken_as_false_once_a_call_could_not_begin(opens_after: float | None) -> None:
+    """Else the same plan was found again and again, in vain, although another one needs nothing that is not known."""
+    problem = parse_problem(INSIDE, parse_domain(DOORS if opens_after is None else ONE_WAY))
+
+    async def scenario(simulation: TaskSimulation) -> None:
+        simulation.knowledge.update({("locked",): UNKNOWN})
+        task = simulation.want("(inside)")
+        if opens_after is not None:
+            await asyncio.sleep(opens_after)
+            simulation.knowledge.update({("locked",): False})
+        await simulation.reaches(task)
+        assert simulation.sent(task) == (["leave()", "climb()", "jump()"] if opens_after is None else ["enter()"])
+        assert simulation.endings[task].replans == 1
+
+    simulate_tasks(scenario, problem, chosen=Settings())
+
+
+def test_what_stays_unknown_is_waited_for_once() -> None:
+    problem = parse_problem(INSIDE, parse_domain(ONE_WAY))
+
+    async def scenario(simulation: TaskSimulation) -> None:
+        simulation.knowledge.update({("locked",): UNKNOWN})
+        task = simulation.want("(inside)")
+        assert await simulation.ended_with(task) == [Code.CONDITION_LOST]
+        assert "no plan without enter(), for which too little is known" in simulation.endings[task].message
+        assert len(simulation.seen(task, "failed")) == 1
+
+    simulate_tasks(scenario, problem, chosen=Settings())
