@@ -167,7 +167,8 @@ class TaskOdds:
         return {"chance": self.chance, "seconds": seconds, "rests_on": self.rests}
 
     def __str__(self) -> str:
-        return f"{percent(self.chance)}, {self.median:.1f} s, {self.ninety_percent:.1f} s at most in 90 % of the runs"
+        lasts = f", {self.median:.1f} s, {self.ninety_percent:.1f} s at most in 90 % of the runs" if self.chance else ""
+        return f"{percent(self.chance)}{lasts}"
 
 
 @dataclass(frozen=True, slots=True)

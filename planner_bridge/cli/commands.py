@@ -283,12 +283,11 @@ def simulate(
     """
     from planner_bridge.node.simulate import play
     from planner_bridge.pipeline.loading import bindings_for
-    from planner_bridge.tasks.settings import DEFAULTS
 
     if log:
         options.check_output(log, force=force)
     loaded = options.problem_in(domain, problem)
-    bound = bindings_for(domain, bindings, loaded.vocabulary) or DEFAULTS.bindings
+    bound = bindings_for(domain, bindings, loaded.vocabulary)
     return play(
         loaded, bound, options.faults_in(faults, loaded.vocabulary), speed or (1.0 if loaded.timed or loaded.domain.nature else 20.0), log
     )

@@ -14,7 +14,6 @@ from planner_bridge.pipeline.loading import bindings_for
 from planner_bridge.yaml.convert import exported, imported
 from planner_bridge.yaml.schema import schema_text
 from planner_bridge.yaml.writer import unwritten
-from pnm.core.machine.bindings import NO_BINDINGS
 from pnm.errors import InputError
 
 
@@ -39,7 +38,7 @@ def export(
     improve: float | None,
 ) -> int:
     """Write a domain, a problem and a plan as YAML."""
-    bound = bindings_for(domain, bindings, None) or NO_BINDINGS
+    bound = bindings_for(domain, bindings, None)
     with options.searching(planner, planner_timeout) if with_plan else nullcontext():
         result = exported(domain, problem, with_plan=with_plan, bindings=bound, planner=planner, timeout=planner_timeout, improve=improve)
     options.print_warnings(result.warnings)

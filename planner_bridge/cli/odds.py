@@ -55,9 +55,9 @@ def odds(
     chosen = options.chosen_files(domain, problem, plan_file)
     settings = Settings(planner, planner_timeout, limits=replace(DEFAULTS.limits, replans=replans))
     if isinstance(chosen, Path):
-        settings = replace(settings, bindings=bindings_for(None, bindings, None) or DEFAULTS.bindings)
+        settings = replace(settings, bindings=bindings_for(None, bindings, None))
         known, parameters = options.faults_in(faults, None), options.plan_parameters(given)
-        found = odds_of_plan(chosen, name, parameters, settings, known, rates_for(None, rates) or DEFAULTS.learned, seconds=seconds)
+        found = odds_of_plan(chosen, name, parameters, settings, known, rates_for(None, rates), seconds=seconds)
     else:
         if name or given:
             raise InputError("--name and --set belong to hand-written plans; expected --plan and a file")

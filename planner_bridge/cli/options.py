@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple, ParamSpec
 import click
 
 from planner_bridge.model.problem import Problem
-from planner_bridge.pipeline.loading import bindings_for, load, rates_for, warning_lines
+from planner_bridge.pipeline.loading import BINDINGS, RATES, beside, bindings_for, load, rates_for, warning_lines
 from pnm.errors import InputError, PnmError, Tolerated
 from pnm.files.database.place import place_of
 from pnm.files.text import secret_in, write_private
@@ -300,11 +300,11 @@ def planned(
 
     domain, problem = files
     loaded = problem_in(domain, problem)
-    bound = bindings_for(domain, bindings, loaded.vocabulary)
+    bound = bindings_for(domain, bindings, loaded.vocabulary) if bindings or beside(domain, BINDINGS) else None
     is_glance = improve is None and is_looked_at and bool(loaded.is_timed or loaded.metric)
     seconds = _BOUND if is_looked_at and not is_glance else 0.0
     with searching(planner, timeout):
-        learned = rates_for(domain, rates)
+        learned = rates_for(domain, rates) if rates or beside(domain, RATES) else None
         improve = GLANCE if is_glance else improve
         result = solve(loaded, planner=planner, timeout=timeout, improve=improve, bindings=bound, learned=learned, bound=seconds)
     return Planned(loaded, result, bound, learned)

@@ -93,7 +93,7 @@ def check(
     else:
         loaded = options.problem_in(*chosen)
         sensors = options.sensing_in(sensing, loaded.vocabulary)
-        settings = Settings(bindings=bindings_for(chosen[0], bindings, loaded.vocabulary) or NO_BINDINGS, sensing=sensors)
+        settings = Settings(bindings=bindings_for(chosen[0], bindings, loaded.vocabulary), sensing=sensors)
         rows = readiness(loaded, settings, wait)
         for resource, actions in relied_on(loaded.domain, settings.bindings).items():
             advice = f"only this keeps calls of {' and '.join(actions)} apart: the domain would have them at the same time"

@@ -154,13 +154,13 @@ def run(
             from planner_bridge.pipeline.carry_out import carry_out  # here and below, because most runs need none of these
 
             check_planner(planner)  # now, not when a plan is given up that took an hour
-            settings = replace(settings, bindings=bindings_for(None, bindings, None) or DEFAULTS.bindings)
+            settings = replace(settings, bindings=bindings_for(None, bindings, None))
             settings = replace(settings, sensing=options.sensing_in(sensing, None))
             parameters, going_wrong = options.plan_parameters(given), options.faults_in(faults, None)
             if least is not None:
                 from planner_bridge.pipeline.roll_outs import odds_of_plan
 
-                odds = odds_of_plan(chosen, name, parameters, settings, going_wrong, rates_for(None, rates) or DEFAULTS.learned)
+                odds = odds_of_plan(chosen, name, parameters, settings, going_wrong, rates_for(None, rates))
                 if refusal := odds.refusal(least):
                     raise PnmError(f"the plan is not begun: {refusal}")
             begin = partial(
@@ -177,8 +177,8 @@ def run(
         else:
             with stopwatch.of("parse"):
                 loaded = options.problem_in(*chosen)
-                bound = bindings_for(chosen[0], bindings, loaded.vocabulary) or DEFAULTS.bindings
-                known = rates_for(chosen[0], rates, grows=learns) or DEFAULTS.learned
+                bound = bindings_for(chosen[0], bindings, loaded.vocabulary)
+                known = rates_for(chosen[0], rates, grows=learns)
                 bound = known.limiting(bound, loaded.domain.actions) if is_limited else bound
                 settings = replace(settings, bindings=bound, sensing=options.sensing_in(sensing, loaded.vocabulary), learned=known)
                 going_wrong = options.faults_in(faults, loaded.vocabulary)

@@ -20,7 +20,7 @@ from planner_bridge.node.world_queries import SharedWorld, read_goals
 from planner_bridge.pipeline.loading import RATES, rates_for
 from planner_bridge.pipeline.odds import KnownRobots
 from planner_bridge.tasks.replanning import Limits
-from planner_bridge.tasks.settings import DEFAULTS, Settings
+from planner_bridge.tasks.settings import Settings
 from planner_bridge.tasks.task_manager import TaskLimits, TaskManager
 from pnm.clock import follow_real_time, run_async, short_pauses
 from pnm.core.knowledge_base import KnowledgeBase
@@ -53,7 +53,7 @@ def kept_tasks(replay: Replay | None) -> list[tuple[Wanted, TaskEnding | None]]:
 def make_task_manager(context: NodeContext) -> tuple[TaskManager, ServedProblem]:
     """Make the task manager of a node and the problem that it serves."""
     options, bindings = context.options, context.bindings
-    learned = rates_for(options.domain, options.rates, grows=options.learn) or DEFAULTS.learned
+    learned = rates_for(options.domain, options.rates, grows=options.learn)
     if options.learned_limits and context.problem:
         bindings = learned.limiting(bindings, context.problem.domain.actions)
     settings = Settings(

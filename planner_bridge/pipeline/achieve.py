@@ -105,7 +105,7 @@ def _goal_handle(
     with stopwatch.of("parse"):
         loaded = load(domain, problem)
         if settings.bindings == NO_BINDINGS and isinstance(domain, Path | str):
-            settings = replace(settings, bindings=bindings_for(Path(domain), None, loaded.vocabulary) or NO_BINDINGS)
+            settings = replace(settings, bindings=bindings_for(Path(domain), None, loaded.vocabulary))
     for name in sorted(settings.bindings.actions.keys() - loaded.domain.actions.keys()):
         hint = suggestion(name, loaded.domain.actions)
         raise InputError(f"there is no action {name!r} in the domain, but the bindings name it{hint and f'; {hint}'}")

@@ -53,30 +53,29 @@ def beside(domain: Path | None, name: str) -> Path | None:
     return file if file and os.path.isfile(file) else None  # unlike `Path.is_file` also for names that are too long
 
 
-def bindings_for(domain: Path | None, file: Path | None, known: Vocabulary | None) -> Bindings | None:
-    """Return bindings from a file; without one, from ``bindings.yaml`` beside the domain; None if there is none either.
+def bindings_for(domain: Path | None, file: Path | None, known: Vocabulary | None) -> Bindings:
+    """Return bindings from a file; without one, from ``bindings.yaml`` beside the domain; empty ones if there is none either.
 
     Bindings may use only the names in `known`; any, if it is None.
     """
-    chosen = file or beside(domain, BINDINGS)
-    if chosen is None:
-        return None
-    from pnm.actions.bindings_file import read_bindings  # here and below, because most searches for a plan have neither
+    if chosen := file or beside(domain, BINDINGS):
+        from pnm.actions.bindings_file import read_bindings  # here and below, because most searches for a plan have neither
 
-    return read_bindings(chosen, known)
+        return read_bindings(chosen, known)
+    from pnm.core.machine.bindings import NO_BINDINGS
+
+    return NO_BINDINGS
 
 
-def rates_for(domain: Path | None, file: Path | None, *, grows: bool = False) -> Rates | None:
-    """Return rates from a file; without one, from ``rates.yaml`` beside the domain; None if there is none either.
+def rates_for(domain: Path | None, file: Path | None, *, grows: bool = False) -> Rates:
+    """Return rates from a file; without one, from ``rates.yaml`` beside the domain; none if there is none either.
 
     A file that `grows` need not be there yet.
     """
-    chosen = file or beside(domain, RATES)
-    if chosen is None or (grows and not os.path.isfile(chosen)):
-        return None
-    from planner_bridge.model.rates import read_rates
+    from planner_bridge.model.rates import NO_RATES, read_rates
 
-    return read_rates(chosen)
+    chosen = file or beside(domain, RATES)
+    return NO_RATES if chosen is None or (grows and not os.path.isfile(chosen)) else read_rates(chosen)
 
 
 def known_from(rates: str | None, faults: str | None) -> KnownRobots:
@@ -84,9 +83,9 @@ def known_from(rates: str | None, faults: str | None) -> KnownRobots:
     from planner_bridge.pipeline.odds import NOTHING_KNOWN, KnownRobots
     from pnm.actions.faults import read_faults
 
-    learned = rates_for(None, Path(rates), grows=True) if rates else None
+    learned = rates_for(None, Path(rates) if rates else None, grows=True)
     declared = read_faults(Path(faults), None) if faults else NOTHING_KNOWN.faults
-    return KnownRobots(learned or NOTHING_KNOWN.rates, declared)
+    return KnownRobots(learned, declared)
 
 
 def warning_lines(warnings: Iterable[Tolerated]) -> Iterator[str]:

@@ -490,11 +490,9 @@ class GoalOdds:
         return f"its odds are {self}; expected {percent(least)} at least"
 
     def __str__(self) -> str:
-        if (best := self.best) is None:
+        if (told := self.told) is None:
             return "not known"
-        without = "" if self.rolled else " if nothing is planned anew"
-        lasts = f", {best.time(0.5):.1f} s, {best.time(0.9):.1f} s at most in 90 % of the runs" if best.times else ""
-        return f"{percent(best.chance)}{without if best.chance < 1.0 else ''}{lasts}"
+        return f"{told}{'' if self.rolled or told.chance == 1.0 else ', if nothing is planned anew'}"
 
     def lines(self) -> Iterator[str]:
         """Yield them for people."""

@@ -251,9 +251,9 @@ class GoalLoop:
                 raise TaskEnded(decision.code, reason, can_be_helped=self._given is None, by_facts=False)
             if not isinstance(decision, BetterRest):  # which is told when it is taken
                 self._context.observer.replanning(decision, execution.result)
-            if execution.is_over and not isinstance(decision, BetterRest):
-                self._follow(execution.run.machine, execution.result, decision, history)
-                return await self._follower(execution, decision)
+                if execution.is_over:
+                    self._follow(execution.run.machine, execution.result, decision, history)
+                    return await self._follower(execution, decision)
             assert not isinstance(decision, NextStretch), "a stretch has come to its end when another one follows"
             graph = await self._successor(execution, decision, history, under_way)
             if isinstance(graph, Outstanding):
@@ -394,6 +394,7 @@ class GoalLoop:
         If it does so while a plan is searched for, the plan is returned all the same. What is under way was so when the decision was made.
         """
         plan: Plan | None = None
+        better = decision if isinstance(decision, BetterRest) else None
         try:
             if isinstance(decision, ResumePlan):
                 graph = decision.rest
@@ -408,13 +409,13 @@ class GoalLoop:
                 if not await execution.at_rest() and not execution.is_over:
                     return Outstanding.REPLACEMENT
                 under_way = execution.under_way
-                if not isinstance(decision, BetterRest):
+                if not better:
                     self._note_plan(plan)
                 graph = await self._graph(plan, under_way)
                 if self._monitor.why_not(Progress.beginning(graph), self._context.forbidden(history)):
                     return Outstanding.REPLACEMENT
             successor = None if execution.is_over else await proved_machine(self._context, graph)
-            if isinstance(decision, BetterRest) and (execution.is_over or (await self._search.rest(graph))[0] is None):
+            if better and (execution.is_over or (await self._search.rest(graph))[0] is None):
                 return Outstanding.NOTHING  # it is not needed any more, or in conflict with other tasks
             reserved = self._control.reserved if successor and not isinstance(decision, ResumePlan) else None
             goes_on = await execution.at_rest()
@@ -425,8 +426,8 @@ class GoalLoop:
             if goes_on and successor:
                 self._control.check()
                 machine, result = execution.run.machine, execution.result
-                if isinstance(decision, BetterRest) and plan is not None:
-                    self._context.observer.replanning(decision, result)
+                if better and plan is not None:
+                    self._context.observer.replanning(better, result)
                     self._note_plan(plan)
                 execution.succeed(successor)
                 self._follow(machine, result, decision, history)

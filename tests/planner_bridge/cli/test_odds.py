@@ -70,11 +70,11 @@ def test_no_plan_has_no_odds_and_options_of_the_other_kind_are_refused(tmp_path:
 
 def test_a_run_says_its_odds_and_does_not_begin_below_those_that_are_asked_for(slippery: str, tmp_path: Path) -> None:
     told = pnm("run", *PATROL, "--faults", slippery)
-    assert "odds     31.6 % if nothing is planned anew, 7.5 s" in told.stdout
+    assert "odds     31.6 %, 7.5 s" in told.stdout
     low = result(pnm("run", *PATROL, "--faults", slippery, "--replans", "0", "--odds", "0.5", "--json"))
     assert (low["goal_reached"], low["calls"]) == (False, [])
-    assert low["reason"].startswith("no plan: one was found, and is not begun: its odds are 31.6 % if nothing is planned anew")
-    assert low["reason"].endswith("; expected 50.0 % at least")
+    assert low["reason"].startswith("no plan: one was found, and is not begun: its odds are 31.6 %, ")
+    assert low["reason"].endswith(" of the runs, if nothing is planned anew; expected 50.0 % at least")
     enough = result(pnm("run", *PATROL, "--faults", slippery, "--replans", "0", "--odds", "0.3", "--json"))
     assert enough["calls"]
     assert enough["odds"]["chance"] == pytest.approx(0.75**4)
@@ -99,6 +99,6 @@ def test_learned_rates_beside_the_domain_are_used(tmp_path: Path) -> None:
     assert odds["rests_on"] == {"learned from 100 of move": ["move"], "learned from 100 of inspect": ["inspect"]}
     low, high = odds["alone"]["interval"]
     assert low < odds["chance"] < high
-    assert f"odds     {100 * odds['chance']:.1f} % if nothing is planned anew" in pnm("plan", str(domain), str(problem)).stdout
+    assert f"odds     {100 * odds['chance']:.1f} %, " in pnm("plan", str(domain), str(problem)).stdout
     (tmp_path / "rates.yaml").write_text("journals: none\n")
     assert pnm("net", str(domain), str(problem)).returncode == 2, "its plan is that of pnm plan"
