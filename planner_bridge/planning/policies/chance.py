@@ -13,7 +13,7 @@ from math import inf
 from typing import Final, NamedTuple
 
 from planner_bridge.planning.policies.dead_ends import DeadStates
-from planner_bridge.planning.policies.encoding import OutOfTime
+from planner_bridge.planning.policies.encoding import WAYS, OutOfTime
 from planner_bridge.planning.policies.search import SAME, BestWays, Search
 from planner_bridge.planning.policies.task import PartialState, PolicyAction
 
@@ -241,24 +241,26 @@ def _widen(search: Search, avoided: DeadStates, envelope: Envelope, until: float
 
     After RFF (Teichteil-Koenigsbuch, Kuter and Infantes, *Incremental Plan Aggregation for Generating Policies in MDPs*, 2010). If states
     that are not looked into count as sure (`unseen` is 0), nothing is better in the end (LAO*, Hansen and Zilberstein, 2001).
+    Plans say what to do as long as their chance is too small to count.
     """
-    likely = [search.task.initial]
+    likely, planned = [search.task.initial], dict[int, PolicyAction]()
     while likely:
         for state in likely:
             envelope.expand(state)
             for forbidden in (avoided.forbidden, _NONE):
                 at = state
                 try:
-                    steps = search.kairos.plan(state, forbidden, until)
+                    steps = search.kairos.plan(state, forbidden, until, WAYS[:-1])
                 except OutOfTime:
                     steps = None
                 for action, number in steps or ():
+                    planned.setdefault(at, action)
                     if at not in envelope.ways and at not in envelope.ends:
                         envelope.expand(at)
                     at = action.outcomes[number].after(at)
         if search.is_over(until) or len(envelope.ways) > MOST_STATES:
             return False
-        likely = _reached(search.task.initial, envelope.best(until, unseen=unseen).choice, envelope)
+        likely = _reached(search.task.initial, {**planned, **envelope.best(until, unseen=unseen).choice}, envelope)
     return True
 
 

@@ -63,8 +63,10 @@ class OutcomePlanner:
         self._copies: dict[str, Step] = {}
         self._guarding = ""
 
-    def plan(self, state: int, forbidden: Mapping[PolicyAction, Sequence[PartialState]], until: float) -> list[Step] | None:
-        """Return steps from the state to the goal; None if there are none.
+    def plan(
+        self, state: int, forbidden: Mapping[PolicyAction, Sequence[PartialState]], until: float, ways: Sequence[tuple[str, float]] = WAYS
+    ) -> list[Step] | None:
+        """Return steps from the state to the goal; None if there are none, which only the last way of searching is believed.
 
         Raises:
             OutOfTime: none were found in time, or by this time on the clock of `time.monotonic`.
@@ -74,7 +76,7 @@ class OutcomePlanner:
         parsed = kairos.parse_problem(f"{self._before} {facts} {self._guarding}{self._after}", domain)
         self.calls += 1
         status = None
-        for way, seconds in WAYS:
+        for way, seconds in ways:
             if status is kairos.Status.UNSOLVABLE and way != WAYS[-1][0]:
                 continue
             limit = min(seconds, until - time.monotonic())

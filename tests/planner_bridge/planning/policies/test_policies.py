@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import pytest
 from hypothesis import given, settings, strategies as st
 
 from planner_bridge.model.grounding import initial_knowledge
 from planner_bridge.model.problem import Problem
 from planner_bridge.pddl.reader import parse_domain, parse_problem
+from planner_bridge.planning.policies.chance import Envelope
 from planner_bridge.planning.policies.policy import Policy, policies
 from planner_bridge.planning.policies.proof import unproved
 from planner_bridge.planning.solve import solve
@@ -110,3 +113,26 @@ def test_what_policies_do_not_know_is_said_and_planned_as_if_one_could_choose() 
     assert result.message == "no policy is looked for: the problem has numbers and objects that actions change"
     assert result.plan is not None
     assert len(result.plan.steps) == 1
+
+
+STAIRS = """
+(define (domain stairs) (:requirements :typing :non-deterministic :probabilistic-effects) (:types step lamp)
+  (:predicates (at ?s - step) (next ?s ?t - step) (fallen) (hurt) (lit ?l - lamp))
+  (:action up :parameters (?s ?t - step) :precondition (and (at ?s) (next ?s ?t) (not (fallen)))
+    :effect (and (at ?t) (not (at ?s)) (oneof (and) (fallen))))
+  (:action rise :parameters () :precondition (and (fallen) (not (hurt))) :effect (probabilistic 0.99 (not (fallen)) 0.01 (hurt)))
+  (:action switch :parameters (?l - lamp) :precondition (not (lit ?l)) :effect (lit ?l)))
+"""
+
+
+def test_a_plan_that_hardly_ever_works_out_is_mended_where_it_goes_wrong(monkeypatch: pytest.MonkeyPatch) -> None:
+    looked_into: list[int] = []
+    expand = Envelope.expand
+    monkeypatch.setattr(Envelope, "expand", lambda envelope, state: (looked_into.append(state), expand(envelope, state))[1])
+    steps, lamps = [f"s{number}" for number in range(30)], [f"l{number}" for number in range(20)]
+    objects = f"{' '.join(steps)} - step {' '.join(lamps)} - lamp"
+    init = f"(at s0) {' '.join(f'(next {one} {other})' for one, other in pairwise(steps))}"
+    text = f"(define (problem p) (:domain stairs) (:objects {objects}) (:init {init}) (:goal (and (at s29) (not (fallen)))))"
+    policy = next(policies(parse_problem(text, parse_domain(STAIRS)), 60.0))
+    assert policy.chance == pytest.approx(0.995**29)
+    assert len(looked_into) < 500
