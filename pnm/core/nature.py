@@ -13,10 +13,10 @@ from collections.abc import Iterable, Iterator, Mapping
 from typing import Final, NamedTuple
 
 from pnm.core.knowledge_base import KnowledgeBase
-from pnm.core.logic.conditions import TOLERANCE, Condition, evaluate, ground
+from pnm.core.logic.conditions import TOLERANCE, Condition, evaluate, ground, names
 from pnm.core.logic.domain import ActionSchema, ProblemModel
 from pnm.core.logic.effects import Changes, Effects, assignments, changes, ground_effects
-from pnm.core.logic.expressions import NOTHING, Fluent, OnlyObjects, absent_value, choices, is_number, same_value, value_of
+from pnm.core.logic.expressions import NOTHING, Fluent, OnlyObjects, Truth, absent_value, choices, is_number, same_value, value_of
 from pnm.errors import InputError
 
 STEP: Final = 0.1
@@ -48,6 +48,9 @@ class Nature:
 
         self._processes, self._events = of(problem.domain.processes.values()), of(problem.domain.events.values())
         self.moved = problem.domain.moved
+        every, base = (*self._processes, *self._events), problem.domain.rules.base
+        self._over_numbers = [one.condition for one in every if not self.moved.isdisjoint(base(names(one.condition)))]
+        """The conditions that may change as time passes."""
 
     def pass_time(self, state: KnowledgeBase, seconds: float, watched: Iterable[Condition] = ()) -> Iterator[float]:
         """Let time pass in a state, which changes; yield how many seconds have passed at first, at every turn, and at the end.
@@ -57,16 +60,18 @@ class Nature:
 
         Raises an `InputError` if there is no end to what happens.
         """
-        conditions = [*(one.condition for one in (*self._processes, *self._events)), *watched]
+        conditions, going_on, truths, is_turn = [*self._over_numbers, *watched], list[Phenomenon](), list[Truth](), True
         passed, step, turns = 0.0, max(STEP, seconds / MOST), 0
         self._react(state)
         yield passed
         while passed < seconds:
-            going_on = [process for process in self._processes if evaluate(process.condition, state) is True]
+            if is_turn:
+                going_on = [process for process in self._processes if evaluate(process.condition, state) is True]
+                truths = [evaluate(condition, state) for condition in conditions]
             before = {fluent: value for fluent in _rates(going_on, state) if is_number(value := state.value(fluent))}
             if not before:
                 break
-            truths, near, far = [evaluate(condition, state) for condition in conditions], 0.0, min(step, seconds - passed)
+            near, far = 0.0, min(step, seconds - passed)
             _move(state, going_on, before, far)
             is_turn = [evaluate(condition, state) for condition in conditions] != truths
             while is_turn and far - near > TOLERANCE:
