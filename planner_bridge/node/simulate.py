@@ -28,7 +28,7 @@ from pnm.core.logic.domain import MAX_CHOICES, ActionSchema
 from pnm.core.machine.bindings import Bindings, placeholders
 from pnm.core.machine.plan_graph import GroundAction
 from pnm.core.machine.requests import Accepted, Ended, Outcome, Report, Reporter, Request
-from pnm.errors import InputError
+from pnm.errors import InputError, Position
 from pnm.tasks import EVENTS
 
 DEFAULT_TYPE = "pnm_interfaces/action/GroundAction"
@@ -56,14 +56,16 @@ async def _serve(problem: Problem, bindings: Bindings, faults: Faults, speed: fl
     robots = robots_of(problem, bindings, faults, speed=speed)
     async with RosThread("robots") as ros:
         from pnm.ros.action_server.simulated_servers import Offer, SimulatedServers, publish_state  # needs rclpy, which is there by now
+        from pnm.ros.node.graph import server_name
 
         with suppress(asyncio.CancelledError):  # it may come before the servers are up
             logged = LoggedRobots(robots, log)
             models = [fitted(model) for model in server_models(problem, bindings, robots.world)]
             # The state before the servers: a client that finds them shall know the world.
             await publish_state(ros, robots.world, robots.world.reported(bindings.assumed), robots.begin)
+            names = await ros.ask(lambda: [server_name(ros.node, model.server, model.position) for model in models])
             await SimulatedServers(ros, logged, robots.progress).open(
-                [Offer(model.server, model.type, model.decode, model.answer) for model in models]
+                [Offer(name, model.type, model.decode, model.answer) for name, model in zip(names, models, strict=True)]
             )
             plural = "s" * (len(models) > 1)
             ready = f"ready: {len(models)} action server{plural}: {', '.join(model.server for model in models)}"
@@ -84,6 +86,11 @@ class ServerModel:
     problem: Problem
     bindings: Bindings
     world: SimulatedWorld
+
+    @property
+    def position(self) -> Position | None:
+        """That of the binding with its name, in a file."""
+        return self.bindings.of(self.choices[0][0].name).position
 
     def decode(self, data: Mapping[str, object]) -> GroundAction:
         """Return the action of a goal, by `action`, field names, or its goal mapping backwards; raise an `InputError` if none fits."""

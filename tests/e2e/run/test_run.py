@@ -8,6 +8,7 @@ import signal
 import pytest
 
 from tests.support.e2e.command_line import pnm
+from tests.support.pddl.problems import ROOMS
 
 IN_BACKGROUND = ("sh", "-c", 'trap "" INT; exec "$@"', "sh")
 TWICE = (signal.SIGTERM, signal.SIGTERM)  # as some supervisors send it: to the process and to its group
@@ -32,3 +33,12 @@ def test_every_signal_cancels_what_runs_and_still_tells_how_it_went_also_in_the_
     (task,) = map(json.loads, pnm("history", journal, "--json").stdout.splitlines())
     assert task["code"] == "cancelled"
     assert pnm("resume", journal).returncode == 1
+
+
+def test_actions_have_hyphens_in_their_names_and_servers_none(deploy):
+    domain = ROOMS.replace("(:action move", "(:action go-to")
+    assert domain != ROOMS
+    problem = """(define (problem p) (:domain rooms) (:objects r1 - robot a b - room)
+     (:init (at r1 a) (way a b) (= (total-cost) 0)) (:goal (at r1 b)))"""
+    finished = deploy("rooms", texts=(domain, problem), quick=True).execute()
+    assert (finished.status, finished.result["plans"]) == (0, 1), finished.result
