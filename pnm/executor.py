@@ -67,6 +67,8 @@ class Executor:
             self._inbox.put_nowait(events.Restarted())
         self._timer: asyncio.TimerHandle | None = None
         self._leaving: list[Callable[[], None]] = []
+        self._hearing: list[Callable[[], None]] = []
+        """What stops it from hearing of changes of knowledge; empty if it hears of none."""
         self._waiting: set[events.KnowledgeChanged | events.ResourcesChanged] = set()
         self._progress: asyncio.Event | None = None
         """The events for those who wait until something has happened."""
@@ -220,26 +222,38 @@ class Executor:
             self.journal.confirmed(event.request, self.run.resources)
 
     def _enter(self) -> None:
-        hears_of = self.run.hears_of  # looked up once: all runs are asked at every change
+        run = self.run
+
+        def hear() -> None:
+            if not self._hearing:
+                self._hearing = [layer.listen(changed) for layer in (run.knowledge.world, run.knowledge.local)]
 
         def changed(changes: Mapping[Fluent, Value | Unknown]) -> None:
-            if hears_of(changes):  # whatever it decides later, it decides by what is known then
+            if run.hears_of(changes):  # whatever it decides later, it decides by what is known then
                 self._put_once(events.KnowledgeChanged())
+            elif not run.listens:  # nor does it hear of other changes until it does: most runs of many wait for no facts
+                self._stop_hearing()
 
-        knowledge, resources = self.run.knowledge, self.run.resources
-        self._leaving = [layer.listen(changed) for layer in (knowledge.world, knowledge.local)]
-        self._leaving.append(resources.listen(partial(self._put_once, events.ResourcesChanged()), self.run.task))
+        self._leaving = [run.resources.listen(partial(self._put_once, events.ResourcesChanged()), run.task)]
+        run.when_it_listens(hear)
 
     def _leave(self, asked: Collection[UUID] = ()) -> None:
         """Listen no longer, and have nothing waited for, nor asked but these questions."""
         for stop in self._leaving:
             stop()
         self._leaving = []
+        self._stop_hearing()
         for identity, task in self._source_tasks.items():
             if identity not in asked:
                 task.cancel()
         self._wake_at(None)
         self._announce()
+
+    def _stop_hearing(self) -> None:
+        """Hear of no change of knowledge until the run listens again."""
+        for stop in self._hearing:
+            stop()
+        self._hearing = []
 
     def _announce(self) -> None:
         if self._progress is not None:

@@ -80,7 +80,7 @@ class PlanExecution(Observer):
 
     async def __aenter__(self) -> PlanExecution:
         self._context.control.begin_execution(self)
-        stop_listening = self._context.world.listen(self._changed)
+        stop_listening = self._context.world.listen(self._changed, None if self.is_eager else EXISTS)
 
         def end(_: object) -> None:
             self._context.control.end_execution()

@@ -16,6 +16,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import chain
 from operator import itemgetter
 from typing import Final, Generic, TypeVar
 
@@ -66,6 +67,8 @@ class KnowledgeBase(RecordedState):
         self.told_why: Mapping[str, tuple[Fluent, ...]] = {}
         """What is news, with the changes that listeners are told of, of why fluents are unknown: for each reason, those."""
         self._listeners: list[Listener] = []
+        self._listeners_of: dict[str, list[Listener]] = {}
+        """By name, those that hear of changes of fluents of this name alone."""
         self._changed: list[Fluent] = []
         """The fluents that have changed last, in order."""
         self._forgotten = 0
@@ -181,7 +184,10 @@ class KnowledgeBase(RecordedState):
         return news
 
     def _tell(self, changes: Changes, why: Mapping[str, tuple[Fluent, ...]] | None = None) -> None:
-        for listener in tuple(self._listeners):
+        of_names = (
+            (self._listeners_of.get(name, ()) for name in dict.fromkeys(fluent[0] for fluent in changes)) if self._listeners_of else ()
+        )
+        for listener in (*self._listeners, *chain.from_iterable(of_names)):
             self.told_why = why or {}
             listener(changes)
 
@@ -245,13 +251,14 @@ class KnowledgeBase(RecordedState):
     def _derives(self, fluent: object) -> bool:
         return isinstance(fluent, tuple) and fluent[:1] != () and fluent[0] in self.derived
 
-    def listen(self, listener: Listener) -> Callable[[], None]:
-        """Call the listener with every batch of changes; return what unsubscribes it.
+    def listen(self, listener: Listener, name: str | None = None) -> Callable[[], None]:
+        """Call the listener with every batch of changes, or those of fluents of this name; return what unsubscribes it.
 
         One for variables, for what is sensed, or for why something is unknown is empty.
         """
-        self._listeners.append(listener)
-        return lambda: self._listeners.remove(listener)
+        listeners = self._listeners if name is None else self._listeners_of.setdefault(name, [])
+        listeners.append(listener)
+        return lambda: listeners.remove(listener)
 
     # changes
 

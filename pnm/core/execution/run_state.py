@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Collection, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field
 from heapq import heappop, heappush
 from itertools import compress, count
@@ -40,6 +40,8 @@ class Agenda(KeptState):
         self._index = index
         self._world, self._local = knowledge.world, knowledge.local
         # state
+        self.begins_to_listen: Callable[[], object] = lambda: None
+        """Called when the first of them begins to wait for facts to change."""
         self.places: deque[int] = deque()
         """Those to be asked."""
         self.undecided: dict[int, int] = {}
@@ -76,6 +78,8 @@ class Agenda(KeptState):
             self._count += 1
             if listens:
                 self._readers.add(place, self._reads[place])
+                if len(self._readers.reads) == 1:
+                    self.begins_to_listen()
 
     def wait_until(self, place: int, time: float) -> None:
         """Have a place asked again at a time, if at no other."""
@@ -98,9 +102,14 @@ class Agenda(KeptState):
         """Ask all undecided places again."""
         self.places.extend(self.undecided)
 
+    @property
+    def listens(self) -> bool:
+        """Whether places are asked again when facts change."""
+        return bool(self._readers.reads)
+
     def hears_of(self, changed: Collection[Fluent]) -> bool:
         """Return whether places are asked again when these facts change, or, if there are none, something else that is known."""
-        if not self._readers.reads:  # no call: all runs are asked at every change
+        if not self.listens:
             return False
         return not changed or self._world.rules is not self._rules or bool(self._readers.concerned(changed))
 

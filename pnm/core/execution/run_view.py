@@ -207,9 +207,19 @@ class RunView(KeptState):
         return self._state.pause is not None and self._state.idle
 
     @property
-    def hears_of(self) -> Callable[[Collection[Fluent]], bool]:
-        """Tells whether a decision is pending that may be another one when facts have changed; without any, variables have."""
-        return self._agenda.hears_of
+    def listens(self) -> bool:
+        """Whether a decision is pending that may be another one when facts have changed."""
+        return self._agenda.listens
+
+    def when_it_listens(self, hear: Callable[[], object]) -> None:
+        """Call this when it begins to listen; and now, if it does."""
+        self._agenda.begins_to_listen = hear
+        if self.listens:
+            hear()
+
+    def hears_of(self, changed: Collection[Fluent]) -> bool:
+        """Return whether a decision is pending that may be another one when these facts have changed; without any, variables have."""
+        return self._agenda.hears_of(changed)
 
     @property
     def awaits(self) -> bool:

@@ -227,8 +227,10 @@ class Heard(Journal):
     ("precondition", "invariant", "heard_of"), [(TRUE, TRUE, 0), (Holds(("late",)), TRUE, 2), (TRUE, Holds(("powered",)), 0)]
 )
 def test_an_executor_hears_of_facts_only_while_something_waits_for_them(
-    precondition: Condition, invariant: Condition, heard_of: int
+    precondition: Condition, invariant: Condition, heard_of: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    asked, hears_of = list[bool](), Run.hears_of
+    monkeypatch.setattr(Run, "hears_of", lambda run, changes: bool(asked.append(True)) or hears_of(run, changes))
     effects = (Set(("late",), Constant(True)),)
     calls = (
         ActionCall(0, GroundAction("does", duration=5.0, invariant=invariant, end_effects=effects)),
@@ -248,3 +250,4 @@ def test_an_executor_hears_of_facts_only_while_something_waits_for_them(
 
     run_async(main(), virtual=True)
     assert heard.events.count(KnowledgeChanged) == heard_of
+    assert bool(asked) is ((precondition, invariant) != (TRUE, TRUE)), "what waits for no facts is not even asked"

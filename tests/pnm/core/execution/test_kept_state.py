@@ -10,7 +10,7 @@ import pytest
 from tests.support.runs.held_run import KeptRun, drive, hold_against_values
 
 FOLLOWS: Final = {
-    "Agenda": {"_index", "_local", "_readers", "_reads", "_rules", "_world", "places"},
+    "Agenda": {"_index", "_local", "_readers", "_reads", "_rules", "_world", "begins_to_listen", "places"},
     "Questions": set[str](),
     "Calls": {"_closed", "_contexts", "_goal_fields", "_knowledge", "_plan", "asks", "bindings", "identity", "world"},
     "CallResults": {"_calls", "_plan"},
