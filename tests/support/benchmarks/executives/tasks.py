@@ -6,18 +6,22 @@ import asyncio
 import gc
 import logging
 import time
-from collections.abc import Coroutine
+from collections.abc import Callable, Coroutine
+from itertools import pairwise
 from pathlib import Path
 from statistics import median
 from tempfile import TemporaryDirectory
 from uuid import UUID
 
 from planner_bridge.model.grounding import initial_knowledge
+from planner_bridge.model.plan import Plan, PlanningResult, PlanningStatus, PlanStep
+from planner_bridge.model.problem import Problem
 from planner_bridge.tasks.result import TASKS, Stopwatch
-from planner_bridge.tasks.settings import Settings, TaskObserver
+from planner_bridge.tasks.settings import Memory, Settings, TaskObserver
 from planner_bridge.tasks.task_manager import TaskLimits, TaskManager
 from pnm.actions.backend import ClientBackend
 from pnm.core.logic.conditions import Holds
+from pnm.core.machine.bindings import Binding, Bindings
 from pnm.core.machine.plan_graph import GroundAction
 from pnm.core.machine.requests import Accepted, Ended, Outcome, OutcomeKind, Reporter, Request
 from pnm.journal.journal import NO_JOURNAL, WrittenJournal
@@ -28,11 +32,23 @@ from tests.support.benchmarks.peers.worker import Measure
 from tests.support.e2e.page.busy_run import AtOnce
 from tests.support.pddl.problems import fleet
 
-_ROBOTS = 200
+_ROBOTS = 500
 """In the world, however many have a task."""
 _PLACES = 8
+_LONG = Bindings({"move": Binding(timeout=3_600.0)})
+"""Calls wait until all have begun: at the limit that they have otherwise, a minute, their tasks would plan anew."""
 _ENDS = 15
 """Calls that end one after the other."""
+
+
+class _OnceRound(Memory):
+    """Plans that are known: a planner takes longer the more robots there are."""
+
+    def plan(self, problem: Problem, timeout: float, search: Callable[[float], PlanningResult]) -> PlanningResult:
+        assert isinstance(problem.goal, Holds)
+        robot = problem.goal.fluent[1]
+        places = [f"a{(int(robot[1:]) + number) % _PLACES}" for number in range(4)]
+        return PlanningResult(PlanningStatus.SOLVED, Plan(tuple(PlanStep("move", (robot, *way)) for way in pairwise(places))))
 
 
 class _Waiting:
@@ -59,7 +75,9 @@ async def _at_once(count: int, which: int) -> float:
     problem, client = fleet(robots=_ROBOTS, parcels=1, places=_PLACES), _Waiting()
     runner = PlanRunner({}, ClientBackend(client), initial_knowledge(problem), None, NO_JOURNAL)
     limits = TaskLimits(active=count, queue=count)
-    manager = TaskManager(problem, runner, Settings(improve=0.0), lambda text: Holds(tuple(text.split())), limits=limits)
+    manager = TaskManager(
+        problem, runner, Settings(memory=_OnceRound(), bindings=_LONG), lambda text: Holds(tuple(text.split())), limits=limits
+    )
     gc.collect()
     began = time.thread_time()
     for robot in range(count):
