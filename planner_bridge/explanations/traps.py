@@ -11,8 +11,8 @@ from planner_bridge.model.determinization import determinization
 from planner_bridge.model.plan import Plan, PlanningStatus
 from planner_bridge.model.problem import Problem
 from planner_bridge.planning.policies.dead_ends import DeadStates
-from planner_bridge.planning.policies.task import Unsuitable, policy_task
-from pnm.core.logic.expressions import fluent_text
+from planner_bridge.planning.policies.grounding import policy_task
+from planner_bridge.planning.policies.task import Unsuitable
 from pnm.errors import counted
 
 _SHARE: Final = 0.3
@@ -45,9 +45,9 @@ def why_trap(problem: Problem, avoiding: Plan, other: Plan, limit: AnswerLimit) 
             if outcome is hoped or task.goal_in(after) or (step.action, step.arguments) in own:
                 continue
             same = {fluent: value for fluent, value in problem.init.items() if fluent not in task.facts}
-            there = replace(problem, init=same | dict.fromkeys(task.named(after), True))
+            there = replace(problem, init=same | task.values(after))
             if part := dead.explained(after):
-                named = {"true": [*map(fluent_text, task.named(part.true))], "false": [*map(fluent_text, task.named(part.false))]}
+                named = {"true": task.texts(part.true), "false": task.texts(part.false)}
                 facts = [f"{listed(those)} {'are' if len(those) > 1 else 'is'} {how}" for how, those in named.items() if those]
                 known, reason = Known.RELAXATION, reason or f": {', and '.join(facts)}"
             elif limit.solve(there, share=_SHARE).status is not PlanningStatus.UNSOLVABLE:

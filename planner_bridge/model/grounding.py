@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from functools import cache
 from math import isfinite
@@ -10,8 +10,9 @@ from typing import TYPE_CHECKING
 
 from planner_bridge.model.problem import Domain, Problem, once_per_domain
 from pnm.core.knowledge_base import KnowledgeBase
+from pnm.core.logic.conditions import Condition
 from pnm.core.logic.domain import ActionSchema, ProblemModel, Types
-from pnm.core.logic.effects import TimedChange, names_written
+from pnm.core.logic.effects import TimedChange, When, every_effect, names_written
 from pnm.core.logic.expressions import UNKNOWN, Environment, Fluent, OnlyObjects, State, Unknown, Value, fluent_text, value_of
 from pnm.core.logic.rules import DerivationRule, Rules
 from pnm.core.machine.plan_graph import GroundAction, ground_schema
@@ -94,6 +95,15 @@ def dynamic_names(problem: ProblemModel) -> frozenset[str]:
     actions = (names_written((*schema.start_effects, *schema.end_effects)) for schema in problem.domain.schemas)
     timed = (frozenset(fluent[0] for fluent in change.changes) for change in problem.timed)
     return frozenset().union(*actions, *timed)
+
+
+def conditions_of(problem: ProblemModel) -> Iterator[Condition]:
+    """Yield the goal, and the conditions of all actions and of their effects."""
+    yield problem.goal
+    for schema in problem.domain.actions.values():
+        yield from (schema.precondition, schema.invariant, schema.end_condition)
+        effects = every_effect((*schema.start_effects, *schema.end_effects))
+        yield from (effect.condition for effect in effects if isinstance(effect, When))
 
 
 def problem_now(problem: Problem, knowledge: KnowledgeBase, elapsed: float = 0.0) -> Problem:

@@ -19,7 +19,7 @@ from random import Random
 from typing import Final
 
 from planner_bridge.model.determinization import untold
-from planner_bridge.model.grounding import dynamic_names, initial_knowledge, problem_now
+from planner_bridge.model.grounding import conditions_of, dynamic_names, initial_knowledge, problem_now
 from planner_bridge.model.plan import Policy
 from planner_bridge.model.problem import Problem
 from planner_bridge.model.progression import NotApplicable, Progression, snapshot
@@ -40,7 +40,7 @@ from planner_bridge.pipeline.odds import (
 from pnm.core.execution.call_results import CallResult
 from pnm.core.execution.run_view import RunView
 from pnm.core.knowledge_base import KnowledgeBase
-from pnm.core.logic.conditions import evaluate
+from pnm.core.logic.conditions import evaluate, names
 from pnm.core.logic.effects import Alternative
 from pnm.core.logic.expressions import Fluent
 from pnm.core.machine.bindings import Bindings
@@ -92,14 +92,14 @@ class PolicyChain:
         """
         if any(untold(problem, bindings, bindings.assumed)):
             return None
-        facts = dynamic_names(problem) - problem.domain.functions.keys()
-        numbers: dict[frozenset[Fluent], int] = {}
+        read = dynamic_names(problem) & frozenset[str]().union(*map(names, conditions_of(problem)))
+        numbers: dict[frozenset[tuple[Fluent, object]], int] = {}
         states: list[KnowledgeBase] = []
 
         def number(state: KnowledgeBase) -> int:
             if evaluate(problem.goal, state) is True:
                 return _GOAL
-            key = frozenset([fluent for fluent, value in state.facts().items() if value is True and fluent[0] in facts])
+            key = frozenset([one for one in state.facts().items() if one[0][0] in read and one[1] is not False])
             if numbers.setdefault(key, len(states)) == len(states):
                 states.append(state)
             return numbers[key]

@@ -81,6 +81,13 @@ def solve(
     check_kinds("solve", {"problem": (problem, Problem), "planner": (planner, str)})
     check_seconds("the search for a plan", timeout)
     check_seconds("the search for a better plan", improve)
+    rates = None
+    if bindings or learned:
+        from planner_bridge.model.rates import NO_RATES  # here, because most problems are about no robot that is known
+        from planner_bridge.ordering.robot_time import ExpectedTimes
+        from pnm.core.machine.bindings import NO_BINDINGS
+
+        rates = ExpectedTimes(bindings or NO_BINDINGS, learned or NO_RATES)
     if problem.domain.uncertain:
         if problem.has_tasks:
             message = "task networks with actions that have several outcomes"
@@ -93,8 +100,9 @@ def solve(
             from planner_bridge.planning.policies.task import Unsuitable
 
             began = time.monotonic()
+            seconds = rates.expected if rates is not None and (problem.is_timed or rates.are_measure(problem)) else None
             try:
-                thinking = Thinking(problem, timeout, cancel)
+                thinking = Thinking(problem, timeout, cancel, seconds)
                 policy = thinking.wait(timeout, improve)
                 if policy is not None and (plan := policy.plan(initial_knowledge(problem))) is not None:
                     return PlanningResult(PlanningStatus.SOLVED, plan, planner=planner, policy=thinking)
@@ -113,14 +121,10 @@ def solve(
             learned=learned and each.rates(learned),
         )
         return explained(problem, found) if found.plan is None else replace(found, plan=each.plan(found.plan), message=note)
-    asked, rates = problem, None
-    if bindings or learned:
-        from planner_bridge.model.exclusive_resources import with_turns  # here, because most problems are about no robot that is known
-        from planner_bridge.model.rates import NO_RATES
-        from planner_bridge.ordering.robot_time import ExpectedTimes
-        from pnm.core.machine.bindings import NO_BINDINGS
+    asked = problem
+    if rates is not None:
+        from planner_bridge.model.exclusive_resources import with_turns  # here, as above
 
-        rates = ExpectedTimes(bindings or NO_BINDINGS, learned or NO_RATES)
         asked = with_turns(problem, rates.bindings)
     stop, timeout = cancel or threading.Event(), min(timeout, _LONGEST)
     until = time.monotonic() + timeout

@@ -1,4 +1,4 @@
-"""The best chance of the goal, and then the fewest expected actions, among the actions of many states: value iteration.
+"""The best chance of the goal, and then the least expected cost, among the actions of many states: value iteration.
 
 The states are those of an envelope: all that can be reached if they are few, else those on the way of plans and what may go wrong there.
 What lies outside counts as lost, unless entries of the policy are known for it.
@@ -43,7 +43,7 @@ class KnownEnd(NamedTuple):
     risk: float
     """Of not reaching the goal."""
     expected: float
-    """Actions that are expected from there on."""
+    """The cost that is expected from there on."""
 
 
 class ActionWay(NamedTuple):
@@ -102,7 +102,7 @@ class Envelope:
         """Return what is best in every state that has a chance.
 
         Args:
-            known: how many actions are expected from states on at most.
+            known: the cost that is expected from states on at most.
             unseen: the risk of states that are not looked into yet.
         """
         states, certain = [*reversed(self.ways)], self._certain()
@@ -134,7 +134,7 @@ class Envelope:
             for state, fit in good:
                 value = inf
                 for action, goes, rest in fit:
-                    cost = (1.0 + sum([p * costs[after] for after, p in rest])) / goes
+                    cost = (action.cost + sum([p * costs[after] for after, p in rest])) / goes
                     if cost < value:
                         value, choice[state] = cost, action
                 if abs(value - costs[state]) > change * value:
@@ -168,8 +168,16 @@ class Envelope:
 
 
 def improve(search: Search, until: float) -> Iterator[None]:
-    """Choose actions anew, among all that keep the goal certain, in the states that the entries lead to, as long as that takes fewer."""
+    """Choose actions anew, among all that keep the goal certain, in the states that the entries lead to, as long as that takes less.
+
+    All states are looked into first, if they are few.
+    """
     initial, before = search.task.initial, inf
+    every = Envelope(search, lambda state: KnownEnd(0.0, 0.0) if search.task.goal_in(state) else None)
+    if every.grow(initial, until, _FEW):
+        search.follow(every.best(until), initial)
+        yield
+        return
     while (first := search.settled(initial)) is not None and first.expected < before * (1.0 - _CLOSE):
         before = first.expected
         costs: dict[int, float] = {}

@@ -22,7 +22,7 @@ from planner_bridge.pddl.writer import write_domain, write_problem
 from planner_bridge.planning.policies.task import ANY, PartialState, PolicyAction, PolicyOutcome, PolicyTask, places
 from pnm.core.logic.conditions import Holds, Not
 from pnm.core.logic.domain import Declaration
-from pnm.core.logic.expressions import fluent_text
+from pnm.core.logic.expressions import Constant, fluent_text
 
 WAYS: Final = (("ff", 0.2), ("eager-lama", 1.0), ("auto", 5.0))
 """Ways of searching in Kairos, and the seconds that each gets; the last one, its own, also proves that there is no plan."""
@@ -54,11 +54,13 @@ class OutcomePlanner:
             borrowed={},
         )
         self._names = SpelledNames(replace(problem, domain=self._domain, own_objects={}))
-        static = {fluent: value for fluent, value in problem.init.items() if fluent not in frozenset(task.facts)}
+        changing = frozenset[object](task.facts).union(scale.fluent for scale in task.scales)
+        static = {fluent: value for fluent, value in problem.init.items() if fluent not in changing}
         text = write_problem(replace(problem, domain=self._domain, own_objects={}, init=static, metric=None))
         self._before, init, self._after = text.partition("(:init")
         self._before += init
-        self._text_of = cache(lambda place: fluent_text(task.facts[place]))
+        self._text_of = cache(lambda place: task.texts(1 << place)[0])
+        self._levels = sum(scale.mask for scale in task.scales)
         self._parsed: tuple[object, kairos.Domain] | None = None
         self._copies: dict[str, Step] = {}
         self._guarding = ""
@@ -72,7 +74,8 @@ class OutcomePlanner:
             OutOfTime: none were found in time, or by this time on the clock of `time.monotonic`.
         """
         domain = self._domain_for({action: tuple(parts) for action, parts in forbidden.items() if parts})
-        facts = " ".join(map(fluent_text, self._task.named(state)))
+        numbers = (f"(= {fluent_text(scale.fluent)} {Constant(scale.value(state))})" for scale in self._task.scales)
+        facts = " ".join((*map(fluent_text, self._task.named(state)), *numbers))
         parsed = kairos.parse_problem(f"{self._before} {facts} {self._guarding}{self._after}", domain)
         self.calls += 1
         status = None
@@ -90,7 +93,7 @@ class OutcomePlanner:
             search.stop()
             if found is not None:
                 return [self._step(step) for step in found.steps]
-        if status is kairos.Status.UNSOLVABLE:
+        if status is kairos.Status.UNSOLVABLE and not self._task.scales:  # with numbers, Kairos 1.0.6 says so of others, too
             return None
         raise OutOfTime
 
@@ -145,6 +148,9 @@ class OutcomePlanner:
     def _effect(self, outcome: PolicyOutcome) -> str:
         effects = []
         for condition, add, delete in outcome.changes:
-            changes = self._literals(PartialState(add, delete & ~add))
-            effects.append(changes if condition == ANY else f"(when (and {self._literals(condition)}) (and {changes}))")
-        return f"(and {''.join(effects)})"
+            effects.append((condition, self._literals(PartialState(add & ~self._levels, delete & ~add & ~self._levels))))
+        effects += ((condition, str(effect)) for condition, effect in outcome.counting)
+        texts = (
+            text if condition == ANY else f"(when (and {self._literals(condition)}) (and {text}))" for condition, text in effects if text
+        )
+        return f"(and {''.join(texts)})"

@@ -9,7 +9,9 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cached_property, partial
-from math import inf
+from itertools import product
+from math import inf, isfinite
+from types import MappingProxyType
 from typing import Final, NamedTuple
 
 from planner_bridge.model.grounding import ground_step, initial_knowledge, modelled_duration
@@ -17,14 +19,16 @@ from planner_bridge.model.plan import GAP, CancelToken, Plan, PlanStep
 from planner_bridge.model.problem import Problem
 from planner_bridge.planning.policies.chance import improve, take_chances
 from planner_bridge.planning.policies.encoding import OutcomePlanner
+from planner_bridge.planning.policies.grounding import Seconds, policy_task
+from planner_bridge.planning.policies.numbers import ANY_NUMBER
 from planner_bridge.planning.policies.proof import unproved
 from planner_bridge.planning.policies.search import Interrupted, Search
 from planner_bridge.planning.policies.steps import MOST, Step, policy_steps
-from planner_bridge.planning.policies.task import PolicyTask, policy_task
+from planner_bridge.planning.policies.task import PolicyTask
 from pnm.core.knowledge_base import statement_text
-from pnm.core.logic.conditions import evaluate
+from pnm.core.logic.conditions import Compare, evaluate
 from pnm.core.logic.effects import changes
-from pnm.core.logic.expressions import Fluent, State, Unknown, Value
+from pnm.core.logic.expressions import Constant, Fluent, State, Unknown, Value, ValueOf
 
 _CHANCE: Final = 0.5
 """Seconds for a better chance before the first action."""
@@ -33,7 +37,7 @@ _CERTAIN: Final = 0.5
 
 
 class PolicyEntry(NamedTuple):
-    """What to do in every state in which these facts are so."""
+    """What to do in every state in which these facts and numbers are so."""
 
     facts: Mapping[Fluent, bool]
     action: str
@@ -41,9 +45,18 @@ class PolicyEntry(NamedTuple):
     distance: float
     """Actions until the goal, with luck."""
     expected: float
-    """Actions until the goal, on average."""
+    """The cost until the goal, on average: calls, if nothing else is known."""
     chance: float
     """Of the goal."""
+    numbers: Mapping[Fluent, tuple[float, float]] = MappingProxyType({})
+    """The ranges in which these numbers have to be."""
+
+    def comparisons(self) -> Iterator[Compare]:
+        """Yield what has to hold for numbers."""
+        for fluent, (least, greatest) in self.numbers.items():
+            for operation, limit in ((">=", least), ("<=", greatest)):
+                if isfinite(limit):
+                    yield Compare(operation, ValueOf(fluent), Constant(limit))
 
     def __str__(self) -> str:
         return f"{self.action}({', '.join(self.arguments)})"
@@ -55,13 +68,15 @@ class Policy:
 
     problem: Problem
     entries: tuple[PolicyEntry, ...]
-    """Those with the fewest expected actions first."""
+    """Those with the least expected cost first."""
     chance: float = 1.0
     """Of the goal, from the initial state."""
     is_proved: bool = False
     """Whether a check of the policy alone has shown that it reaches the goal if every outcome comes up sooner or later."""
     steps: Callable[[], list[Step]] = field(default=list, repr=False)
     """Returns which entries follow which."""
+    measure: str = "calls"
+    """What the expected cost is."""
 
     def __repr__(self) -> str:
         return f"<Policy for {self.problem.name}: {len(self.entries)} entries, {self.claim}>"
@@ -69,7 +84,7 @@ class Policy:
     def __str__(self) -> str:
         steps = self.steps()
         more = [f"  {len(steps) - MOST:8d} more"] if len(steps) > MOST else []
-        expected = f", {steps[0].expected:.1f} calls expected" if steps else ""
+        expected = f", {steps[0].expected:.1f} {self.measure} expected" if steps else ""
         return "\n".join((f"{self.claim}{expected}", *(line for step in steps[:MOST] for line in step.lines()), *more))
 
     @property
@@ -83,7 +98,7 @@ class Policy:
         """Return the claim, the entries, and the steps that they lead to, as JSON has them."""
         entries = [
             {
-                "facts": [statement_text(fluent, value) for fluent, value in entry.facts.items()],
+                "facts": [*(statement_text(fluent, value) for fluent, value in entry.facts.items()), *map(str, entry.comparisons())],
                 "action": entry.action,
                 "arguments": [*entry.arguments],
                 "expected": round(entry.expected, 3),
@@ -91,7 +106,7 @@ class Policy:
             }
             for entry in self.entries
         ]
-        return {"is_proved": self.is_proved, "chance": round(self.chance, 6), "entries": entries} | {
+        return {"is_proved": self.is_proved, "chance": round(self.chance, 6), "measure": self.measure, "entries": entries} | {
             "steps": [step.as_json() for step in self.steps()]
         }
 
@@ -104,6 +119,7 @@ class Policy:
                     true |= bit
                 case False | None:
                     false |= bit
+        true |= sum(bit for comparison, bit in self._comparisons.items() if evaluate(comparison, state) is True)
         number = next((place for place, part in enumerate(self._parts) if not (part[0] & ~true or part[1] & ~false)), None)
         return None if number is None else self.entries[number]
 
@@ -147,11 +163,17 @@ class Policy:
         return {fluent: 1 << place for place, fluent in enumerate(mentioned)}
 
     @cached_property
+    def _comparisons(self) -> dict[Compare, int]:
+        found = dict.fromkeys(comparison for entry in self.entries for comparison in entry.comparisons())
+        return {comparison: 1 << place for place, comparison in enumerate(found, len(self._bits))}
+
+    @cached_property
     def _parts(self) -> list[tuple[int, int]]:
-        bits = self._bits
+        bits, comparisons = self._bits, self._comparisons
         return [
             (
-                sum(bits[fluent] for fluent, value in entry.facts.items() if value),
+                sum(bits[fluent] for fluent, value in entry.facts.items() if value)
+                + sum(comparisons[comparison] for comparison in entry.comparisons()),
                 sum(bits[fluent] for fluent, value in entry.facts.items() if not value),
             )
             for entry in self.entries
@@ -175,16 +197,16 @@ class _Changed:
 class Thinking:
     """A policy that becomes better while robots work. The mutable state is those found so far, the best one first: a thread adds to them.
 
-    Raises `Unsuitable` if the problem has more than facts that only actions change.
+    Raises `Unsuitable` if the problem has more than facts and numbers that only actions change.
     """
 
-    def __init__(self, problem: Problem, timeout: float, cancel: CancelToken | None = None) -> None:
+    def __init__(self, problem: Problem, timeout: float, cancel: CancelToken | None = None, seconds: Seconds | None = None) -> None:
         self.problem = problem
         self.policies: tuple[Policy, ...] = ()
         self._found, self._over = threading.Event(), threading.Event()
         stop = _Either(cancel)
-        thread = threading.Thread(target=_think, args=(weakref.ref(self), policies(problem, timeout, stop), self._found, self._over))
-        thread.daemon = True
+        better = policies(problem, timeout, stop, seconds)
+        thread = threading.Thread(target=_think, args=(weakref.ref(self), better, self._found, self._over), daemon=True)
         thread.start()
         weakref.finalize(self, _end, stop, thread)
 
@@ -193,10 +215,11 @@ class Thinking:
 
         Args:
             timeout: seconds at most.
-            improve: seconds to wait for a better one; by default, some for one that is not sure to reach the goal.
+            improve: seconds to wait for a better one; by default, some for one that is not sure to reach the goal, or has other costs than
+                its calls, of which it was not made to have few.
         """
         self._found.wait(timeout)
-        if self.policy is not None and (improve is not None or not self.policy.is_proved):
+        if self.policy is not None and (improve is not None or not self.policy.is_proved or self.policy.measure != "calls"):
             self._over.wait(_CHANCE if improve is None else improve)
         return self.policy
 
@@ -256,27 +279,36 @@ def _end(stop: _Either, thread: threading.Thread) -> None:
         thread.join(1.0)
 
 
-def policies(problem: Problem, timeout: float, cancel: CancelToken | None = None) -> Iterator[Policy]:
+def policies(problem: Problem, timeout: float, cancel: CancelToken | None = None, seconds: Seconds | None = None) -> Iterator[Policy]:
     """Return better and better policies: that reach the goal for certain, or else with the best chance that is found so far.
 
-    Raises `Unsuitable` if the problem has more than facts that only actions change.
+    Args:
+        seconds: how long actions take, where policies are measured by that; by default, as long as the domain says.
+
+    Raises `Unsuitable` if the problem has more than facts and numbers that only actions change.
     """
-    return _better(problem, policy_task(problem), time.monotonic(), timeout, cancel)
+    return _better(problem, policy_task(problem, seconds), time.monotonic(), timeout, cancel)
 
 
 def _better(problem: Problem, task: PolicyTask, began: float, timeout: float, cancel: CancelToken | None) -> Iterator[Policy]:
     until = began + timeout
     search = Search(task, OutcomePlanner(problem, task), began + timeout * _CERTAIN, cancel)
+    is_exact = all(scale.is_exact for scale in task.scales)
     with suppress(Interrupted):
         if search.run(task.initial):
-            yield _policy(problem, search)
+            policy = _policy(problem, search)
+            if not policy.is_proved and not is_exact:
+                return
+            yield policy
             search.until = until
             for _ in improve(search, until):
-                yield _policy(problem, search)
+                policy = _policy(problem, search)
+                if policy.is_proved or is_exact:
+                    yield policy
             return
     search.until = until
     with suppress(Interrupted):
-        for _ in take_chances(search, until):
+        for _ in take_chances(search, until) if is_exact else ():
             yield _policy(problem, search)
 
 
@@ -291,10 +323,16 @@ def _policy(problem: Problem, search: Search) -> Policy:
             distance,
             expected,
             1.0 - risk,
+            {scale.fluent: bounds for scale in task.scales if (bounds := scale.bounds(*need)) != ANY_NUMBER},
         )
         for risk, expected, distance, need, _, action in search.entries
         if action is not None
     )
     certain = [entry for entry in entries if entry.chance == 1.0]
-    is_proved = not first.risk and not unproved(problem, certain, initial_knowledge(problem))
-    return Policy(problem, entries, 1.0 - first.risk, is_proved, partial(policy_steps, task, list(search.entries)))
+    sides = product((True, False), repeat=2) if task.scales else [(False, False)]  # what never comes about may leave a range
+    ends = (
+        {scale.fluent: (scale.ends[0] if low else -inf, scale.ends[1] if high else inf) for scale in task.scales} for low, high in sides
+    )
+    is_proved = not first.risk and not all(unproved(problem, certain, initial_knowledge(problem), one) for one in ends)
+    steps = partial(policy_steps, task, list(search.entries))
+    return Policy(problem, entries, 1.0 - first.risk, is_proved, steps, task.measure)

@@ -39,7 +39,7 @@ class SettledPart(NamedTuple):
     risk: float
     """Of not reaching the goal; 0 if it is reached for certain, as long as every outcome comes up sooner or later."""
     expected: float
-    """Actions that are expected from there on."""
+    """The cost that is expected from there on: of every action 1, if nothing else is known."""
     distance: float
     """Actions until the goal, with luck."""
     need: PartialState
@@ -50,7 +50,7 @@ class SettledPart(NamedTuple):
 
 
 class BestWays(NamedTuple):
-    """What is best in states all ways of which were looked at: the action, the risk, and the expected actions."""
+    """What is best in states all ways of which were looked at: the action, the risk, and the expected cost."""
 
     choice: Mapping[int, PolicyAction]
     risks: Mapping[int, float]
@@ -138,7 +138,7 @@ class Search:
                     if not frames:
                         raise _NoPolicy
                     at = len(frames) - 1
-                    self._forbid_here(frames[at].action, frames[at].state)
+                    self._forbid_here(frames[at].action, frames[at].state, state)
                 state = frames[at].state
                 leave(state)
                 del frames[at:]
@@ -203,8 +203,16 @@ class Search:
             self.dead.allow(action, part)
         return None
 
-    def _forbid_here(self, action: PolicyAction, state: int) -> None:
-        """Forbid an action in this very state, as long as that is no dead end itself."""
+    def _forbid_here(self, action: PolicyAction, state: int, after: int) -> None:
+        """Forbid an action that leads to a dead end, wherever it does so as it does here.
+
+        If it is none for good, in this very state, as long as that is no dead end itself.
+        """
+        end, condition = next((end for end in self.dead.ends if end.holds(after)), None), action.condition_in(state)
+        if end is not None and condition is not None:
+            outcome = next(outcome for outcome in action.outcomes if outcome.after(state) == after)
+            self.dead.forbid(action, condition.joined(outcome.before(end, state)))
+            return
         part = self.dead.exactly(state)
         self.dead.forbid(action, part)
         self._forbidden_here[state].append((action, part))
@@ -232,7 +240,7 @@ class Search:
         way: list[tuple[int, Step]] = []
         is_safe = True
         for action, number in steps:
-            if self.task.goal_in(state):
+            if self.task.goal_in(state) or action.condition_in(state) is None:
                 break
             way.append((state, (action, number)))
             for after in (outcome.after(state) for outcome in action.outcomes):
@@ -240,17 +248,21 @@ class Search:
                 self._looked_at.add(after)
                 is_dead = after in self._doomed or (is_new and not self.settled(after) and self._is_dead(after))
                 if is_dead and not self.dead.is_forbidden(action, state):
-                    self._forbid_here(action, state)
+                    self._forbid_here(action, state, after)
             is_safe &= not self.dead.is_forbidden(action, state)
             state = action.outcomes[number].after(state)
         if not is_safe:
             return
         need = self.task.goal_in(state)
-        assert need is not None, "Kairos' plan reaches the goal"
+        if need is None and not way:  # Kairos, which does not round numbers, has a plan where there is none
+            self._doomed.add(state)
+            self.dead.is_certain = False
         for distance, (state, (action, number)) in enumerate(reversed(way), 1):
+            if need is None:
+                break
             condition = action.condition_in(state)
             assert condition is not None, f"{action} can be used"
-            need = condition.joined(action.outcomes[number].before(need, state))
+            need = self.task.closed(condition.joined(action.outcomes[number].before(need, state)))
             if (need, action) not in self._kept:
                 self._kept.add((need, action))
                 insort(self._plans, (distance, len(self._kept), need, action))
@@ -317,11 +329,14 @@ class Search:
             stays = chances.pop(state, 0.0)
             rows.append((state, 1.0 - stays, [(after, chance) for after, chance in chances.items() if after in actions]))
         risk = {state: sum(outcome.chance * entry.risk for outcome, entry in ends[state]) for state in component}
-        expected = {state: 1.0 + sum(outcome.chance * entry.expected for outcome, entry in ends[state]) for state in component}
+        expected = {
+            state: actions[state].cost + sum(outcome.chance * entry.expected for outcome, entry in ends[state]) for state in component
+        }
         for values in (risk, expected):
             _solve(rows, values)
         for state in component:
-            entry = SettledPart(round(risk[state], 6), expected[state], distance[state], needs[state], len(self.entries), actions[state])
+            need = self.task.closed(needs[state])
+            entry = SettledPart(round(risk[state], 6), expected[state], distance[state], need, len(self.entries), actions[state])
             if not any(entry.need.implies(other.need) for other in self.entries if other[:2] <= entry[:2]):
                 insort(self.entries, entry)
         return True

@@ -1,30 +1,21 @@
 """The task of a policy: facts as bits of a whole number, and ground actions with every way in which they may turn out.
 
-A state is the number whose bits are the facts that are true. A durative action counts as one step here, its end conditions
-and end effects after its start effects: policies carry out one action of several outcomes at a time.
+A state is the number whose bits are the facts that are true, those about numbers among them (`numbers`). A durative action counts as one
+step here, its end conditions and end effects after its start effects: policies carry out one action of several outcomes at a time.
 """
 
 from __future__ import annotations
 
-from collections import Counter, defaultdict, deque
-from collections.abc import Iterable, Iterator, Mapping
+from collections import Counter, defaultdict
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import product
-from typing import Final, NamedTuple, assert_never
+from typing import Final, NamedTuple
 
-from planner_bridge.model.grounding import dynamic_names, initial_knowledge
-from planner_bridge.model.problem import Problem
-from pnm.core.logic.conditions import All, Compare, Computed, Condition, Holds, conjuncts, evaluate, every_part, names, parts_of
-from pnm.core.logic.domain import ActionSchema
-from pnm.core.logic.effects import Alternative, Effects, ForEach, OneOf, Set, When, every_effect, has_outcomes, outcomes
-from pnm.core.logic.expressions import NOTHING, Constant, Environment, Fluent, bind, choices
+from planner_bridge.planning.policies.numbers import Level, Scale
+from pnm.core.logic.effects import Alternative, Set
+from pnm.core.logic.expressions import Fluent, fluent_text
 from pnm.errors import PnmError
-
-MOST_ACTIONS: Final = 200_000
-"""Ground actions at most."""
-_MOST_PARTS: Final = 64
-"""Alternatives of a condition at most."""
 
 
 class Unsuitable(PnmError):
@@ -81,12 +72,29 @@ class Change(NamedTuple):
         return PartialState(after.true & ~self.add, after.false & ~self.delete)
 
 
+class Counting(NamedTuple):
+    """An effect on a number, in states for which the condition holds."""
+
+    condition: PartialState
+    effect: Set
+
+
 class PolicyOutcome(NamedTuple):
     """A way in which an action may turn out, with its chance."""
 
     name: str
     chance: float
     changes: tuple[Change, ...]
+    counting: tuple[Counting, ...] = ()
+    """What it does with numbers; that is among the changes, as facts about these."""
+
+    def numbers(self) -> Iterator[tuple[Fluent, PartialState, tuple[Set, ...]]]:
+        """Yield what it does with each number under each condition."""
+        found: dict[tuple[Fluent, PartialState], tuple[Set, ...]] = defaultdict(tuple)
+        for condition, effect in self.counting:
+            found[effect.fluent, condition] += (effect,)
+        for (fluent, condition), effects in found.items():
+            yield fluent, condition, effects
 
     def after(self, state: int) -> int:
         """Return the state after it."""
@@ -128,6 +136,7 @@ class PolicyAction:
     arguments: tuple[str, ...]
     conditions: tuple[PartialState, ...]
     outcomes: tuple[PolicyOutcome, ...]
+    cost: float = 1.0
 
     def condition_in(self, state: int) -> PartialState | None:
         """Return the part of the condition that holds in the state; None if the action cannot be used there."""
@@ -141,20 +150,39 @@ class PolicyAction:
 class PolicyTask:
     """Facts, the initial state, the parts of the goal, each of which is enough, and the ground actions that may ever be used."""
 
-    facts: tuple[Fluent, ...]
+    facts: tuple[Fluent | Level, ...]
     initial: int
     goal: tuple[PartialState, ...]
     actions: tuple[PolicyAction, ...]
     alternatives: Mapping[str, tuple[Alternative, ...]]
     """The outcomes of every action, before it is ground."""
+    scales: tuple[Scale, ...] = ()
+    """The numbers that actions change."""
+    measure: str = "calls"
+    """What the costs of actions are."""
 
     def goal_in(self, state: int) -> PartialState | None:
         """Return the part of the goal that holds in the state."""
         return next((part for part in self.goal if part.holds(state)), None)
 
     def named(self, bits: int) -> list[Fluent]:
-        """Return the facts of these bits."""
-        return [self.facts[number] for number in places(bits)]
+        """Return the facts of these bits, without those about numbers."""
+        return [fact for number in places(bits) if not isinstance(fact := self.facts[number], Level)]
+
+    def texts(self, bits: int) -> list[str]:
+        """Return the facts of these bits, those about numbers among them, as PDDL has them."""
+        return [str(fact) if isinstance(fact := self.facts[number], Level) else fluent_text(fact) for number in places(bits)]
+
+    def values(self, state: int) -> dict[Fluent, bool | float]:
+        """Return the facts that are true in the state, and the numbers."""
+        return {**dict.fromkeys(self.named(state), True), **{scale.fluent: scale.value(state) for scale in self.scales}}
+
+    def closed(self, part: PartialState) -> PartialState:
+        """Return the partial state with all that it says of numbers: what is at least 30 is at least 20."""
+        for scale in self.scales:
+            least, top = scale.range(*part)
+            part = PartialState(part.true | scale.up_to(least), part.false | scale.mask & ~scale.up_to(top))
+        return part
 
     def usable(self, state: int) -> Iterator[PolicyAction]:
         """Yield the actions that can be used in the state."""
@@ -182,7 +210,11 @@ class PolicyTask:
         """Sets of facts, of which exactly one is true in every state that can be reached: facts that differ in one argument."""
         found: dict[tuple[object, ...], int] = defaultdict(int)
         keys: dict[int, list[tuple[object, ...]]] = {}
-        for number, (name, *arguments) in enumerate(self.facts):
+        for number, fact in enumerate(self.facts):
+            if isinstance(fact, Level):
+                keys[number] = []
+                continue
+            name, *arguments = fact
             keys[number] = [(name, place, *arguments[:place], *arguments[place + 1 :]) for place in range(len(arguments))]
             for key in keys[number]:
                 found[key] |= 1 << number
@@ -202,248 +234,3 @@ class PolicyTask:
                         if not moves or change.condition != ANY:
                             found.pop(key, None)
         return tuple(found.values())
-
-
-def policy_task(problem: Problem) -> PolicyTask:
-    """Return the task of the problem; raise `Unsuitable` if it has more than facts that only actions change, or is too large."""
-    return _Grounding(problem).task()
-
-
-class _Grounding:
-    """The facts of a problem that actions change, in the order in which they were met: mutable state."""
-
-    def __init__(self, problem: Problem) -> None:
-        self.problem, self.state, self.changing = problem, initial_knowledge(problem), dynamic_names(problem)
-        conditions = [problem.goal]
-        for schema in problem.domain.actions.values():
-            conditions += (schema.precondition, schema.invariant, schema.end_condition)
-            effects = every_effect((*schema.start_effects, *schema.end_effects))
-            conditions += (effect.condition for effect in effects if isinstance(effect, When))
-        read = frozenset().union(*map(names, conditions))
-        self.only_counted = self.changing & problem.domain.functions.keys() - read
-        unsuitable = {
-            "facts that change by themselves": problem.timed or problem.domain.nature,
-            "constraints": problem.constraints or problem.domain.constraints,
-            "preferences": problem.has_preferences,
-            "tasks and methods": problem.has_tasks,
-            "derived facts": read & problem.domain.rules.derived,
-            "numbers and objects that actions change": self.changing & problem.domain.functions.keys() & read,
-            "computed conditions": any(isinstance(part, Computed) for condition in conditions for part in every_part(condition)),
-        }
-        if present := [what for what, is_there in unsuitable.items() if is_there]:
-            raise Unsuitable(f"no policy is looked for: the problem has {' and '.join(present)}")
-        self.facts: list[Fluent] = []
-        self.bits: dict[Fluent, int] = {}
-        self.of_types = {
-            variable.types: frozenset(self.state.objects(variable.types))
-            for schema in problem.domain.actions.values()
-            for variable in schema.parameters
-        }
-
-    def task(self) -> PolicyTask:
-        alternatives = {name: outcomes(schema.end_effects, self.state) for name, schema in self.problem.domain.actions.items()}
-        goal = self.parts(self.problem.goal)
-        initial = sum(self.bit(fact) for fact, value in self.problem.init.items() if value is True and fact[0] in self.changing)
-        actions = list(self.actions(alternatives, initial))
-        return PolicyTask(tuple(self.facts), initial, goal, tuple(actions), alternatives)
-
-    def bit(self, fact: Fluent) -> int:
-        if fact not in self.bits:
-            self.bits[fact] = 1 << len(self.facts)
-            self.facts.append(fact)
-        return self.bits[fact]
-
-    def parts(self, condition: Condition, env: Environment = NOTHING, truth: bool = True) -> tuple[PartialState, ...]:
-        """Return the parts of the condition, or of its opposite: each is enough."""
-        match condition:
-            case Holds(fluent) if fluent[0] in self.changing:
-                bit = self.bit(bind(fluent, env))
-                return (PartialState(bit, 0) if truth else PartialState(0, bit),)
-            case Holds() | Compare():
-                return (ANY,) if evaluate(condition, self.state, env) is truth else ()
-        inner, is_every = parts_of(condition, self.state, env, truth)
-        alternatives = [self.parts(*part) for part in inner]
-        if not is_every:
-            return tuple(dict.fromkeys(part for one in alternatives for part in one))
-        found: tuple[PartialState, ...] = (ANY,)
-        for more in alternatives:
-            found = tuple(dict.fromkeys(both for part, other in product(found, more) if (both := part.joined(other)).is_possible))
-            if len(found) > _MOST_PARTS:
-                raise Unsuitable(f"no policy is looked for: {condition} has too many alternatives")
-        return found
-
-    def changes(self, effects: Effects, env: Environment, condition: PartialState = ANY) -> Iterator[Change]:
-        for effect in effects:
-            match effect:
-                case Set(fluent, Constant(bool() as value)):
-                    bit = self.bit(bind(fluent, env))
-                    yield Change(condition, bit if value else 0, 0 if value else bit)
-                case Set():
-                    assert effect.fluent[0] in self.only_counted, effect
-                case When(inner, then):
-                    for part in self.parts(inner, env):
-                        if (both := condition.joined(part)).is_possible:
-                            yield from self.changes(then, env, both)
-                case ForEach(variables, inner):
-                    for chosen in choices(variables, self.state, env):
-                        yield from self.changes(inner, chosen, condition)
-                case OneOf():
-                    raise AssertionError("which outcome it is has been chosen")
-                case _:
-                    assert_never(effect)
-
-    def actions(self, alternatives: Mapping[str, tuple[Alternative, ...]], initial: int) -> Iterator[PolicyAction]:
-        """Yield the ground actions that may be used once, if nothing is ever undone."""
-        instances = _Instances(self, initial)
-        for schema, env in instances:
-            start = _merged(self.changes(schema.start_effects, env))
-            if len(start) > 1 or any(change.condition != ANY for change in start) or has_outcomes(schema.start_effects):
-                raise Unsuitable(f"no policy is looked for: {schema.name} has effects at its start that depend on something")
-            begun = start[0] if start else Change(ANY, 0, 0)
-            later = [begun.before(part) for part in self.parts(All((schema.invariant, schema.end_condition)), env)]
-            early = self.parts(schema.precondition, env)
-            both = (one.joined(other) for one, other in product(early, later) if other is not None)
-            conditions = tuple(part for part in dict.fromkeys(both) if part.is_possible)
-            if not conditions:
-                continue
-            ways = alternatives[schema.name]
-            found = tuple(
-                PolicyOutcome(
-                    way.name,
-                    1.0 / len(ways) if way.chance is None else way.chance,
-                    _merged(self.composed(begun, self.changes(way.effects, env))),
-                )
-                for way in ways
-            )
-            for change in (change for outcome in found for change in outcome.changes):
-                instances.reach(change.add)
-            if any(outcome.changes for outcome in found):
-                yield PolicyAction(schema.name, tuple(str(env[variable.name]) for variable in schema.parameters), conditions, found)
-
-    def composed(self, begun: Change, ended: Iterable[Change]) -> Iterator[Change]:
-        """Yield the changes of a whole action: what its start has changed, and its end did not change back."""
-        changes = list(ended)
-        if not (begun.add or begun.delete):
-            yield from changes
-            return
-        add, delete = begun.add, begun.delete
-        for change in changes:
-            if change.condition == ANY:
-                add, delete = add & ~(change.delete & ~change.add) | change.add, delete & ~change.add | change.delete
-            elif change.delete & add or change.add & delete:
-                raise Unsuitable("no policy is looked for: the end of an action undoes its start under a condition")
-            elif (before := begun.before(change.condition)) is not None:
-                yield Change(before, change.add, change.delete)
-        yield Change(ANY, add, delete)
-
-
-def _merged(changes: Iterable[Change]) -> tuple[Change, ...]:
-    """Return the changes, those of the same condition as one."""
-    found: dict[PartialState, tuple[int, int]] = {}
-    for condition, add, delete in changes:
-        before = found.get(condition, (0, 0))
-        found[condition] = before[0] | add, before[1] | delete
-    return tuple(Change(condition, add, delete) for condition, (add, delete) in found.items())
-
-
-class _Instances:
-    """The choices of objects for the parameters of actions whose facts can be true together, if nothing is ever undone.
-
-    Each comes when the last fact that it needs does: a join of all facts so far, as databases make them (semi-naive evaluation). The
-    facts, and those still to come, are mutable state.
-    """
-
-    def __init__(self, grounding: _Grounding, initial: int) -> None:
-        self.grounding, self.seen = grounding, initial
-        self.tables: dict[tuple[object, ...], dict[Fluent, None]] = defaultdict(dict)
-        """The facts so far: of a predicate, and of a predicate with an object in one place."""
-        self.waiting = deque[Fluent]()
-        self.schemas: list[tuple[ActionSchema, list[Fluent]]] = []
-        self.needing: dict[str, list[tuple[int, int]]] = defaultdict(list)
-        for fact, value in grounding.problem.init.items():
-            if value is True and fact[0] in grounding.changing:
-                self.waiting.append(fact)
-            elif value is True:
-                self.add(fact)
-        for number, schema in enumerate(grounding.problem.domain.actions.values()):
-            atoms = [part.fluent for part in conjuncts(schema.precondition) if isinstance(part, Holds)]
-            self.schemas.append((schema, atoms))
-            for place, atom in enumerate(atoms):
-                if atom[0] in grounding.changing:
-                    self.needing[atom[0]].append((number, place))
-
-    def add(self, fact: Fluent) -> None:
-        self.tables[fact[:1]][fact] = None
-        for place, name in enumerate(fact[1:], 1):
-            self.tables[fact[0], place, name][fact] = None
-
-    def reach(self, bits: int) -> None:
-        """Note that these facts can be true."""
-        if new := bits & ~self.seen:
-            self.seen |= new
-            self.waiting += (self.grounding.facts[number] for number in places(new))
-
-    def __iter__(self) -> Iterator[tuple[ActionSchema, dict[str, object]]]:
-        found = set[tuple[str, ...]]()
-        for number, place, fact in self.triggers():
-            schema, atoms = self.schemas[number]
-            types = {variable.name: variable.types for variable in schema.parameters}
-            first = {} if fact is None else self.matched(atoms[place], fact, {}, types)
-            rest = [atom for other, atom in enumerate(atoms) if other != place]
-            for env in () if first is None else self.joined(rest, first, types):
-                free = tuple(variable for variable in schema.parameters if variable.name not in env)
-                for whole in choices(free, self.grounding.state, env):
-                    key = (schema.name, *(str(whole[variable.name]) for variable in schema.parameters))
-                    if key not in found:
-                        found.add(key)
-                        if len(found) > MOST_ACTIONS:
-                            raise Unsuitable(f"no policy is looked for: there are more than {MOST_ACTIONS} ground actions")
-                        yield schema, dict(whole)
-
-    def triggers(self) -> Iterator[tuple[int, int, Fluent | None]]:
-        """Yield what may be new: actions by their numbers with a fact for one of their atoms, or without one that changes."""
-        for number, (_, atoms) in enumerate(self.schemas):
-            if not any(atom[0] in self.grounding.changing for atom in atoms):
-                yield number, -1, None
-        while self.waiting:
-            fact = self.waiting.popleft()
-            self.add(fact)
-            for number, place in self.needing[fact[0]]:
-                yield number, place, fact
-
-    def joined(self, atoms: list[Fluent], env: dict[str, object], types: Mapping[str, tuple[str, ...]]) -> Iterator[dict[str, object]]:
-        if not atoms:
-            yield env
-            return
-        tables = [(self.table(atom, env), number) for number, atom in enumerate(atoms)]
-        table, number = min(tables, key=lambda pair: len(pair[0]))
-        rest = [*atoms[:number], *atoms[number + 1 :]]
-        for fact in tuple(table):
-            if (more := self.matched(atoms[number], fact, env, types)) is not None:
-                yield from self.joined(rest, more, types)
-
-    def table(self, atom: Fluent, env: Mapping[str, object]) -> Mapping[Fluent, None]:
-        """Return the facts that may match the atom, as few as are told apart by one object."""
-        bound = bind(atom, env)
-        keys = [(atom[0], place, name) for place, name in enumerate(bound[1:], 1) if not name.startswith("?")]
-        found = [self.tables[key] for key in keys if key in self.tables]
-        return {} if len(found) < len(keys) else min(found, key=len, default=self.tables[atom[:1]])
-
-    def matched(
-        self, atom: Fluent, fact: Fluent, env: Mapping[str, object], types: Mapping[str, tuple[str, ...]]
-    ) -> dict[str, object] | None:
-        if len(atom) != len(fact):
-            return None
-        more = dict(env)
-        for term, name in zip(atom[1:], fact[1:], strict=True):
-            if not term.startswith("?"):
-                if term != name:
-                    return None
-            elif term in more:
-                if more[term] != name:
-                    return None
-            elif name not in self.grounding.of_types[types[term]]:
-                return None
-            else:
-                more[term] = name
-        return more

@@ -13,25 +13,42 @@ from planner_bridge.model.problem import Problem
 from pnm.core.knowledge_base import KnowledgeBase
 from pnm.core.logic.conditions import evaluate
 from pnm.core.logic.effects import Alternative, changes
-from pnm.core.logic.expressions import Fluent
+from pnm.core.logic.expressions import Fluent, Unknown, Value
 
-State = frozenset[Fluent]
+State = frozenset[tuple[Fluent, Value | Unknown]]
 
 DOMAIN = """
 (define (domain chance)
-  (:requirements :adl :non-deterministic :probabilistic-effects)
+  (:requirements :adl :non-deterministic :probabilistic-effects :numeric-fluents)
   (:types thing)
   (:predicates (p ?x - thing) (q ?x - thing) (r ?x - thing))
+  (:functions (n) (m))
   {actions})
 """
-PROBLEM = "(define (problem p) (:domain chance) (:objects a b - thing) (:init {init}) (:goal (and {goal})))"
+PROBLEM = "(define (problem p) (:domain chance) (:objects a b - thing) (:init (= (n) 2) (= (m) 1) {init}) (:goal (and {goal})))"
 
 FACTS = [f"({name} {thing})" for name in "pqr" for thing in "ab"]
 
 
-def texts(seed: int) -> tuple[str, str]:
-    """Return the texts of a random domain and problem with six facts, the goal of which does not hold at first."""
+def texts(seed: int, *, counts: bool = False) -> tuple[str, str]:
+    """Return the texts of a random domain and problem with six facts, the goal of which does not hold at first.
+
+    Args:
+        counts: with two numbers that actions change, from 0 to 4.
+    """
     random = Random(seed)
+
+    def count() -> tuple[str, str]:
+        """Return an effect on a number, and what it needs."""
+        name, step = random.choice("nm"), random.randint(1, 2)
+        return random.choice(
+            (
+                (f"(decrease ({name}) {step})", f"(>= ({name}) {step})"),
+                (f"(decrease ({name}) {step})", f"(>= ({name}) {step})"),
+                (f"(increase ({name}) {step})", f"(<= ({name}) {4 - step})"),
+                (f"(assign ({name}) {random.randint(0, 4)})", f"({random.choice(('<', '>', '=', '>=', '<='))} ({name}) {step})"),
+            )
+        )
 
     def literal(*terms: str, true: float = 0.5) -> str:
         fact = f"({random.choice('pqr')} {random.choice(terms)})"
@@ -41,6 +58,8 @@ def texts(seed: int) -> tuple[str, str]:
         kind = random.random()
         if kind < 0.7:
             return literal(*terms, true=0.6)
+        if counts and kind < 0.8:
+            return f"(when (> ({random.choice('nm')}) {random.randint(0, 3)}) {literal(*terms, true=0.6)})"
         if kind < 0.9:
             return f"(when {literal(*terms)} {literal(*terms, true=0.6)})"
         return f"(forall (?y - thing) (when {literal('?y')} {literal('?y', *terms)}))"
@@ -63,10 +82,16 @@ def texts(seed: int) -> tuple[str, str]:
         if random.random() < 0.2:
             needed.append(f"(or {literal(*terms)} {literal(*terms)})")
         effects = " ".join(effect(*terms) for _ in range(random.choice((1, 1, 2))))
+        if counts and random.random() < 0.7:
+            change, need = count()
+            needed.append(need)
+            effects += f" (oneof {change} (and))" if random.random() < 0.2 else f" {change}"
         parameters = "?x - thing" if "?x" in terms else ""
         actions.append(f"(:action a{number} :parameters ({parameters}) :precondition (and {' '.join(needed)}) :effect (and {effects}))")
     goal = random.sample(FACTS, random.choice((1, 2, 2, 3)))
     init = [fact for fact in FACTS if fact not in goal and random.random() < 0.5]
+    if counts and random.random() < 0.3:
+        goal.append(f"({random.choice(('>=', '<', '='))} (n) {random.randint(1, 4)})")
     return DOMAIN.format(actions="\n  ".join(actions)), PROBLEM.format(init=" ".join(init), goal=" ".join(goal))
 
 
@@ -78,12 +103,12 @@ class Exact:
 
     def knowledge(self, state: State) -> KnowledgeBase:
         """Return the state as knowledge."""
-        return KnowledgeBase(dict.fromkeys(state, True), objects=self.problem.objects_by_type)
+        return KnowledgeBase(dict(state), objects=self.problem.objects_by_type)
 
     @cached_property
     def initial(self) -> State:
         """The initial state."""
-        return frozenset(fluent for fluent, value in initial_knowledge(self.problem).facts().items() if value is True)
+        return frozenset(initial_knowledge(self.problem).facts().items())
 
     def is_goal(self, state: State) -> bool:
         """Whether the goal holds."""
@@ -98,8 +123,8 @@ class Exact:
         ways = ground.outcomes or (Alternative(ground.end_effects, 1.0),)
         found: dict[State, float] = {}
         for way in ways:
-            after = {**dict.fromkeys(state, True), **changes(way.effects, knowledge)}
-            new = frozenset(fluent for fluent, value in after.items() if value is True)
+            after = {**dict(state), **changes(way.effects, knowledge)}
+            new = frozenset(fact for fact in after.items() if fact[1] is not False)
             found[new] = found.get(new, 0.0) + (1.0 / len(ways) if way.chance is None else way.chance)
         return found
 

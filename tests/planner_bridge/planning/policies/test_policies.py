@@ -103,14 +103,13 @@ def test_a_plan_comes_with_its_policy() -> None:
 
 
 def test_what_policies_do_not_know_is_said_and_planned_as_if_one_could_choose() -> None:
-    with_fuel = TIRES.replace("(flat))\n", "(flat)) (:functions (fuel))\n", 1).replace(":typing", ":typing :fluents")
-    with_fuel = with_fuel.replace("(not (flat)))\n", "(not (flat)) (>= (fuel) 1))\n").replace(
-        "(and (car ?q) (not", "(and (decrease (fuel) 1) (car ?q) (not"
+    domain = TIRES.replace("(:action drive", "(:derived (here ?p - place) (car ?p)) (:action drive").replace(
+        ":typing", ":derived-predicates :typing"
     )
-    text = "(define (problem p) (:domain tires) (:objects a z - place) (:init (car a) (= (fuel) 3) (road a z)) (:goal (car z)))"
-    result = solve(parse_problem(text, parse_domain(with_fuel)))
+    text = "(define (problem p) (:domain tires) (:objects a z - place) (:init (car a) (road a z)) (:goal (here z)))"
+    result = solve(parse_problem(text, parse_domain(domain.replace("(flat))", "(flat) (here ?p - place))", 1))))
     assert result.policy is None
-    assert result.message == "no policy is looked for: the problem has numbers and objects that actions change"
+    assert result.message == "no policy is looked for: the problem has derived facts"
     assert result.plan is not None
     assert len(result.plan.steps) == 1
 
