@@ -58,6 +58,9 @@ _WEIGHED: Final = 1.0
 """The first plans often fulfil no preference."""
 _PART: Final = 0.1
 """Seconds of processor time of this process for a better part of a plan."""
+_ALONE: Final = 0.3
+"""Part of the time for improvement, in processor time, for which the search has the processor alone after each plan that it finds: where
+cores are shared, it comes to a good one in half of the time that it takes beside the search for parts."""
 _BESIDE: Final = {"ehc": 0.2, "goals": 0.2, "novelty": 0.6}
 """Other ways of searching in Kairos, which it has beside its own one. Once there is a plan: one after the other, each for this share
 of the time for improvement. While there is none: one more whenever so much time has passed again. Each finds plans for some problems."""
@@ -159,8 +162,8 @@ def search_with_kairos(
     one, and the plan may be another one the next time; not with `improve` at 0, which asks for that first plan.
 
     Once there is a plan, a better one is looked for: `improve` seconds, or a share of the time that the plan is expected to take, for
-    robots wait. The searches go on, and meanwhile parts of the best plan are replaced by better ones. Where robots can work side by side,
-    one more looks for plans with times, of which only the order of the calls is kept.
+    robots wait. The searches go on; when they bring nothing better for a while, parts of the best plan are replaced by better ones. Where
+    robots can work side by side, one more looks for plans with times, of which only the order of the calls is kept.
 
     Where actions take differently long, the first search is for few calls all the same, which it finds much sooner; those that come
     beside it, or after it if it ends, are for little time.
@@ -177,16 +180,19 @@ def search_with_kairos(
     until, began, patience = time.monotonic() + timeout, time.process_time(), inf if improve == 0.0 else _PATIENCE
     helpers = iter(sorted(_BESIDE, key=_BESIDE.__getitem__, reverse=True))
     first = news = deadline = inf
+    alone = 0.0
     parts: Iterator[bool] = iter(())
     if known is not None and not best.take(known):
         search.stop()
         return PlanningResult(PlanningStatus.INVALID_PLAN, message="the known plan does not solve the problem", planner=DEFAULT_PLANNER)
     by_call = rates is not None and rates.are_measure(problem) and bool(rates.learned.groups)
     while not (cancel.is_set() or best.is_at(least)) and (now := time.monotonic()) < deadline:
-        if next(parts, False):
+        is_alone = search.running() and time.process_time() < alone
+        if not is_alone and next(parts, False):
             news = now
         else:
             search.next_plan(min(_POLL, deadline - now))
+            news = now if is_alone else news
         if best.plan is None and time.process_time() > began + patience and (way := next(helpers, None)):
             searches.append(start(timeout=max(_POLL, until - now), search=way, memory_limit_mb=_memory_of_others()))
             patience *= 2
@@ -197,6 +203,8 @@ def search_with_kairos(
                 from planner_bridge.planning.parts import better_parts, can_have_parts  # here, because short searches look for none
 
                 parts = better_parts(problem, best.plan, best.of_part, best.take) if best.plan and can_have_parts(problem) else iter(())
+                if known is None and best.plan:
+                    alone = time.process_time() + _ALONE * (best.worth if improve is None else improve)
         if best.plan is not None:
             allowed = best.worth * (1.0 if known is None else AT_WORK) if improve is None else improve
             deadline = first + allowed if improve is not None else min(first + allowed, news + allowed * _IN_VAIN)

@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import time
+from collections.abc import Iterable, Iterator, Sequence
 
 import pytest
 
 from planner_bridge.model.plan import Plan, PlanStep
 from planner_bridge.model.problem import Problem
 from planner_bridge.pddl import parse_domain, parse_problem
+from planner_bridge.pipeline.loading import load
+from planner_bridge.planning import kairos
 from planner_bridge.planning.parts import better_parts, can_have_parts
 from planner_bridge.planning.solve import solve
 from planner_bridge.planning.validate import why_invalid
+from tests.support.files import ROOT
 from tests.support.pddl.problems import matches, rooms
 
 VAN = """
@@ -102,3 +106,25 @@ def test_a_part_leaves_no_more_of_a_number_than_the_rest_needs() -> None:
 def test_of_plans_with_times_or_preferences_no_part_is_replaced(problem: Problem) -> None:
     assert not can_have_parts(problem)
     assert can_have_parts(rooms())
+
+
+def test_parts_wait_until_the_search_has_brought_nothing_better_for_a_while(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where processors are shared, both together find a good plan much later."""
+    of, brought, tried = kairos._Best.of, list[float](), list[float]()
+
+    def noted(self: kairos._Best, searches: Iterable[object]) -> bool:
+        is_better = of(self, searches)  # type: ignore[arg-type]
+        if is_better:
+            brought.append(time.process_time())
+        return is_better
+
+    def parts(*_: object) -> Iterator[bool]:
+        while True:
+            tried.append(time.process_time() - brought[-1])
+            yield True
+
+    monkeypatch.setattr(kairos._Best, "of", noted)
+    monkeypatch.setattr("planner_bridge.planning.parts.better_parts", parts)
+    house = ROOT / "domains" / "household"
+    assert solve(load(house / "domain.pddl", house / "problem4.pddl"), improve=1.0).plan
+    assert min(tried, default=1.0) >= kairos._ALONE
