@@ -10,7 +10,7 @@ from typing import Final, TypeAlias, assert_never
 
 from planner_bridge.model.grounding import conditions_of, dynamic_names, initial_knowledge, modelled_duration
 from planner_bridge.model.problem import TOTAL_TIME, Problem
-from planner_bridge.planning.policies.numbers import Known, Level, Scale, values_from
+from planner_bridge.planning.policies.numbers import AtLeast, PartlyKnown, Scale, values_from
 from planner_bridge.planning.policies.task import (
     ANY,
     Change,
@@ -89,7 +89,7 @@ class _Grounding:
         }
         if present := [what for what, is_there in unsuitable.items() if is_there]:
             raise Unsuitable(f"no policy is looked for: the problem has {' and '.join(present)}")
-        self.facts: list[Fluent | Level] = []
+        self.facts: list[Fluent | AtLeast] = []
         self.bits: dict[Fluent, int] = {}
         self.scales: dict[Fluent, Scale] = {}
         """Of numbers, once their values are known; until then, comparisons with these may be true or false."""
@@ -120,9 +120,9 @@ class _Grounding:
             raise Unsuitable(f"no policy is looked for: {fluent_text(fluent)} has no value")
         return round(float(value), _DIGITS)
 
-    def known(self, fluent: Fluent, value: float) -> Known:
+    def known(self, fluent: Fluent, value: float) -> PartlyKnown:
         """Return what is known if all that is known of what changes is this number."""
-        return Known({fluent: value}, self.state, self.changing)
+        return PartlyKnown({fluent: value}, self.state, self.changing)
 
     def after(self, fluent: Fluent, effects: tuple[Set, ...], value: float) -> float:
         """Return the number after effects on it."""
@@ -135,7 +135,7 @@ class _Grounding:
         """Yield what the number is compared with; what is infinite stands for what is not so simple."""
         for condition in self.compared[fluent]:
             others = [side for side in (condition.left, condition.right) if side != ValueOf(fluent)]
-            limit = value_of(others[0], Known({}, self.state, self.changing))
+            limit = value_of(others[0], PartlyKnown({}, self.state, self.changing))
             yield from (limit,) if is_number(limit) and len(others) == 1 else (inf, -inf)
 
     def comparison(self, condition: Compare, truth: bool) -> tuple[PartialState, ...]:
@@ -220,7 +220,7 @@ class _Grounding:
                     bit = self.bit(bind(fluent, env))
                     yield Change(condition, bit if value else 0, 0 if value else bit)
                 case Set(fluent, expression, operation) if fluent[0] in self.counted:
-                    amount = value_of(expression, Known({}, self.state, self.changing), env)
+                    amount = value_of(expression, PartlyKnown({}, self.state, self.changing), env)
                     constant = Constant(amount) if is_number(amount) else ground_expression(expression, env)
                     yield Counting(condition, Set(bind(fluent, env), constant, operation))
                 case Set():
@@ -280,7 +280,7 @@ class _Grounding:
         """Return what an action adds to the metric, if that counts; 1 otherwise."""
         if self.total is None:
             return 1.0
-        after = changes((*schema.start_effects, *ended), Known({self.total: 0.0}, self.state, self.changing), env).get(self.total)
+        after = changes((*schema.start_effects, *ended), PartlyKnown({self.total: 0.0}, self.state, self.changing), env).get(self.total)
         return after if is_number(after) else 0.0
 
     def composed(self, begun: Change, ended: Iterable[Change]) -> Iterator[Change]:
@@ -354,7 +354,7 @@ class _Instances:
         """Note that these facts can be true."""
         if new := bits & ~self.seen:
             self.seen |= new
-            self.waiting += [fact for number in places(new) if not isinstance(fact := self.grounding.facts[number], Level)]
+            self.waiting += [fact for number in places(new) if not isinstance(fact := self.grounding.facts[number], AtLeast)]
 
     def __iter__(self) -> Iterator[tuple[ActionSchema, dict[str, object]]]:
         found = set[tuple[str, ...]]()

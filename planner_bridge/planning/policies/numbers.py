@@ -25,7 +25,7 @@ _DIGITS: Final = 9
 
 
 @dataclass(frozen=True, slots=True)
-class Known:
+class PartlyKnown:
     """A state of which these facts are known, and what never changes."""
 
     facts: Mapping[Fluent, Value | Unknown]
@@ -43,7 +43,7 @@ class Known:
         return self.constant.objects(types)
 
 
-class Level(NamedTuple):
+class AtLeast(NamedTuple):
     """The fact that a number has at least this value."""
 
     fluent: Fluent
@@ -71,9 +71,9 @@ class Scale:
         return self.up_to(len(self.values) - 1)
 
     @property
-    def levels(self) -> list[Level]:
+    def levels(self) -> list[AtLeast]:
         """All its facts, in the order of their places."""
-        return [Level(self.fluent, value) for value in self.values[1:]]
+        return [AtLeast(self.fluent, value) for value in self.values[1:]]
 
     def up_to(self, number: int) -> int:
         """Return the facts that are true of the value with this number."""

@@ -22,7 +22,7 @@ from typing import Final, Protocol, assert_never
 
 from planner_bridge.model.grounding import dynamic_names, ground_step, modelled_duration
 from planner_bridge.model.problem import Problem
-from planner_bridge.planning.policies.numbers import ANY_NUMBER, Known, Range
+from planner_bridge.planning.policies.numbers import ANY_NUMBER, PartlyKnown, Range
 from pnm.core.logic.conditions import TOLERANCE, Compare, Computed, Condition, Holds, evaluate, negate, parts_of
 from pnm.core.logic.effects import Effects, ForEach, OneOf, Set, When
 from pnm.core.logic.expressions import (
@@ -73,7 +73,7 @@ class PolicyRule(Protocol):
 
 
 @dataclass(frozen=True, slots=True)
-class _Ranges(Known):
+class _Ranges(PartlyKnown):
     """A state of which, besides, the ranges of numbers are known."""
 
     numbers: Mapping[Fluent, Range]

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Final, NamedTuple
 
-from planner_bridge.planning.policies.numbers import Level, Scale
+from planner_bridge.planning.policies.numbers import AtLeast, Scale
 from pnm.core.logic.effects import Alternative, Set
 from pnm.core.logic.expressions import Fluent, fluent_text
 from pnm.errors import PnmError
@@ -150,7 +150,7 @@ class PolicyAction:
 class PolicyTask:
     """Facts, the initial state, the parts of the goal, each of which is enough, and the ground actions that may ever be used."""
 
-    facts: tuple[Fluent | Level, ...]
+    facts: tuple[Fluent | AtLeast, ...]
     initial: int
     goal: tuple[PartialState, ...]
     actions: tuple[PolicyAction, ...]
@@ -167,11 +167,11 @@ class PolicyTask:
 
     def named(self, bits: int) -> list[Fluent]:
         """Return the facts of these bits, without those about numbers."""
-        return [fact for number in places(bits) if not isinstance(fact := self.facts[number], Level)]
+        return [fact for number in places(bits) if not isinstance(fact := self.facts[number], AtLeast)]
 
     def texts(self, bits: int) -> list[str]:
         """Return the facts of these bits, those about numbers among them, as PDDL has them."""
-        return [str(fact) if isinstance(fact := self.facts[number], Level) else fluent_text(fact) for number in places(bits)]
+        return [str(fact) if isinstance(fact := self.facts[number], AtLeast) else fluent_text(fact) for number in places(bits)]
 
     def values(self, state: int) -> dict[Fluent, bool | float]:
         """Return the facts that are true in the state, and the numbers."""
@@ -211,7 +211,7 @@ class PolicyTask:
         found: dict[tuple[object, ...], int] = defaultdict(int)
         keys: dict[int, list[tuple[object, ...]]] = {}
         for number, fact in enumerate(self.facts):
-            if isinstance(fact, Level):
+            if isinstance(fact, AtLeast):
                 keys[number] = []
                 continue
             name, *arguments = fact
