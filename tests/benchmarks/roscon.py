@@ -26,6 +26,7 @@ from pyrobosim.core import World
 
 from planner_bridge.explanations.learning import learn
 from planner_bridge.model.rates import NO_RATES, Rates
+from planner_bridge.planning.kairos import LONGEST
 from tests.support.e2e.household.in_process import in_world, pursue
 from tests.support.e2e.household.simulator import Work, counted, has_reached, load_world, without_waiting
 from tests.support.e2e.household.workshop_tree import WorkshopTree
@@ -129,7 +130,7 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, default=20, help="how many runs of each problem")
     parser.add_argument("--first", type=int, default=0, help="the first seed")
     parser.add_argument("--problem", type=int, choices=PROBLEMS, help="only this one")
-    parser.add_argument("--improve", type=float, help="as of pnm run")
+    parser.add_argument("--improve", type=float, default=LONGEST, help="as of pnm run; by default as for robots that take their time")
     parser.add_argument("--taught", type=int, default=0, help="how many runs before, of the seeds before the first, teach ours their rates")
     parser.add_argument("--workshop", type=Path, default=ROOT.parent / "roscon24-workshop", help="the workshop's repository")
     parser.add_argument(
@@ -138,7 +139,7 @@ def main() -> None:
     parser.add_argument("--jobs", type=int, default=1, help="processes")
     parser.add_argument("--only-ours", action="store_true", help="only planner and executor")
     options = parser.parse_args()
-    settings = {} if options.improve is None else {"improve": options.improve}
+    settings = {"improve": options.improve}
     others: dict[str, Callable[[int, Path | None, int], Trial]] = {}
     if not options.only_ours:
         if (trees := options.workshop / TREES).is_dir():
