@@ -101,7 +101,7 @@ def alone(world: ChanceWorld, problem: Problem, way: Way, kept: Kept) -> str:
     """Do what the policy says, without machine and executor; return why that does not lead to the goal."""
     knowledge = initial_knowledge(problem)
     world.report_to(knowledge)
-    result = kept.plan(problem, way.seconds, lambda timeout: solve(problem, timeout=timeout))
+    result = kept.plan(problem, way.seconds / 2, lambda timeout: solve(problem, timeout=timeout))
     while evaluate(problem.goal, knowledge) is not True:
         stretch = kept.policy.stretch(knowledge) if kept.policy else None
         if stretch is None or world.is_over:
