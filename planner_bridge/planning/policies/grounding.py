@@ -68,6 +68,8 @@ class _Grounding:
 
     def __init__(self, problem: Problem, seconds: Seconds | None) -> None:
         self.problem, self.state, self.changing = problem, initial_knowledge(problem), dynamic_names(problem)
+        self.constant = PartlyKnown({}, self.state, self.changing)
+        """What is known if nothing is known of what changes."""
         self.seconds = seconds or (lambda action: action.duration or 0.0)
         metric = problem.metric if problem.metric and problem.metric.direction == "minimize" else None
         counted = metric.expression.fluent if metric and isinstance(metric.expression, ValueOf) else TOTAL_TIME
@@ -135,7 +137,7 @@ class _Grounding:
         """Yield what the number is compared with; what is infinite stands for what is not so simple."""
         for condition in self.compared[fluent]:
             others = [side for side in (condition.left, condition.right) if side != ValueOf(fluent)]
-            limit = value_of(others[0], PartlyKnown({}, self.state, self.changing))
+            limit = value_of(others[0], self.constant)
             yield from (limit,) if is_number(limit) and len(others) == 1 else (inf, -inf)
 
     def comparison(self, condition: Compare, truth: bool) -> tuple[PartialState, ...]:
@@ -220,7 +222,7 @@ class _Grounding:
                     bit = self.bit(bind(fluent, env))
                     yield Change(condition, bit if value else 0, 0 if value else bit)
                 case Set(fluent, expression, operation) if fluent[0] in self.counted:
-                    amount = value_of(expression, PartlyKnown({}, self.state, self.changing), env)
+                    amount = value_of(expression, self.constant, env)
                     constant = Constant(amount) if is_number(amount) else ground_expression(expression, env)
                     yield Counting(condition, Set(bind(fluent, env), constant, operation))
                 case Set():
@@ -280,7 +282,7 @@ class _Grounding:
         """Return what an action adds to the metric, if that counts; 1 otherwise."""
         if self.total is None:
             return 1.0
-        after = changes((*schema.start_effects, *ended), PartlyKnown({self.total: 0.0}, self.state, self.changing), env).get(self.total)
+        after = changes((*schema.start_effects, *ended), self.known(self.total, 0.0), env).get(self.total)
         return after if is_number(after) else 0.0
 
     def composed(self, begun: Change, ended: Iterable[Change]) -> Iterator[Change]:
