@@ -9,6 +9,7 @@ from __future__ import annotations
 import time
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from itertools import product
 from math import inf
 from typing import Final, NamedTuple
 
@@ -170,25 +171,26 @@ class Envelope:
 def improve(search: Search, until: float) -> Iterator[None]:
     """Choose actions anew, among all that keep the goal certain, in the states that the entries lead to, as long as that takes less.
 
+    Then also in more and more states beside these, to which other actions may lead, and for which entries are found.
     Where costs differ, which plans know nothing of, all states are looked into first, if they are few.
     """
-    initial, before = search.task.initial, inf
+    initial, others, most = search.task.initial, list[int](), _AT_ONCE
     every = Envelope(search, lambda state: KnownEnd(0.0, 0.0) if search.task.goal_in(state) else None)
     if search.task.measure != "calls" and every.grow(initial, until, _FEW):
         search.follow(every.best(until), initial)
         yield
         return
-    while (first := search.settled(initial)) is not None and first.expected < before * (1.0 - _CLOSE):
-        before = first.expected
+    while (before := search.settled(initial)) is not None:
         costs: dict[int, float] = {}
-        waiting = [initial]
-        for state in waiting:
-            entry = search.settled(state)
-            if entry is not None and entry.action is not None and state not in costs:
-                costs[state] = entry.expected
-                waiting += (outcome.after(state) for outcome in entry.action.outcomes)
-            if len(costs) > _SOME or search.is_over(until):
-                return
+        for root in (initial, *others):
+            waiting = [root] if len(costs) < _FEW else []
+            for state in waiting:
+                entry = search.settled(state)
+                if entry is not None and entry.action is not None and state not in costs:
+                    costs[state] = entry.expected
+                    waiting += (outcome.after(state) for outcome in entry.action.outcomes)
+                if search.is_over(until) or len(costs) > _SOME:
+                    return
 
         def end(state: int, costs: Mapping[int, float] = costs) -> KnownEnd | None:
             if state in costs:
@@ -200,7 +202,27 @@ def improve(search: Search, until: float) -> Iterator[None]:
         if not envelope.grow(initial, until):
             return
         search.follow(envelope.best(until, costs), initial)
-        yield
+        first = search.settled(initial)
+        if first is not None and first.expected < before.expected * (1.0 - _CLOSE):
+            yield
+        elif len(search.entries) < _FEW and (new := _beside(search, dict.fromkeys((*costs, *others)), most)):
+            others += new
+            most *= 2
+        else:
+            return
+
+
+def _beside(search: Search, known: Mapping[int, None], most: int) -> list[int]:
+    """Find entries for states that other actions may lead to, those of several outcomes first; return the new ones, about so many."""
+    found: dict[int, None] = {}
+    for is_certain, state in product((False, True), known):
+        if len(found) >= most:
+            break
+        for action in search.task.usable(state):
+            after = dict.fromkeys(outcome.after(state) for outcome in action.outcomes)
+            if (len(after) == 1) is is_certain and not all(one in known or one in found for one in after) and all(map(search.run, after)):
+                found |= {one: None for one in after if one not in known}
+    return [*found]
 
 
 def take_chances(search: Search, until: float) -> Iterator[None]:
@@ -222,7 +244,7 @@ def take_chances(search: Search, until: float) -> Iterator[None]:
     def follow() -> bool:
         best = envelope.best(inf)
         if task.initial in best.choice:
-            search.entries = [entry for entry in search.entries if not entry.risk]
+            search.give_up(frozenset(one for one, risk in best.risks.items() if risk >= 1.0 - SAME))
             search.follow(best, task.initial)
         return task.initial in best.choice
 

@@ -34,6 +34,8 @@ class DeadStates:
         self._places = range(0, 2 * len(task.facts), 2)
         self._groups = {1 << number: group for group in task.groups for number in places(group)}
         self._needs: list[list[int]] = []
+        self._left: list[int] = []
+        """How many literals each rule needs."""
         self._makes: list[tuple[int, ...]] = []
         self._needed_by: list[list[int]] = [[] for _ in range(self._count)]
         self._made_by: list[list[int]] = [[] for _ in range(self._count)]
@@ -69,6 +71,7 @@ class DeadStates:
     def _rule(self, needs: list[int], makes: Iterable[int]) -> None:
         number = len(self._needs)
         self._needs.append(needs or [_ALWAYS])
+        self._left.append(len(self._needs[number]))
         self._makes.append(tuple(makes))
         for literal in self._needs[number]:
             self._needed_by[literal].append(number)
@@ -98,7 +101,7 @@ class DeadStates:
 
     def _reached(self, part: PartialState) -> bytearray | None:
         """Return which literals can be reached; None if the goal can."""
-        left = [*map(len, self._needs)]
+        left = self._left.copy()
         reached = bytearray(self._count)
         true, false = part.true, part.false | self.task.excluded(part.true)
         count = len(self.task.facts)
@@ -180,6 +183,7 @@ class DeadStates:
             self._rule([literal], [escape])
         for rule in self._rules_of[action]:
             self._needs[rule].append(escape)
+            self._left[rule] += 1
             self._needed_by[escape].append(rule)
 
 

@@ -315,6 +315,7 @@ def _better(problem: Problem, task: PolicyTask, began: float, timeout: float, ca
 def _policy(problem: Problem, search: Search) -> Policy:
     task, first = search.task, search.settled(search.task.initial)
     assert first is not None, "there is an entry for the initial state"
+    ranked = sorted(search.entries)
     entries = tuple(
         PolicyEntry(
             {**dict.fromkeys(task.named(need.true), True), **dict.fromkeys(task.named(need.false), False)},
@@ -325,7 +326,7 @@ def _policy(problem: Problem, search: Search) -> Policy:
             1.0 - risk,
             {scale.fluent: bounds for scale in task.scales if (bounds := scale.bounds(*need)) != ANY_NUMBER},
         )
-        for risk, expected, distance, need, _, action in search.entries
+        for risk, expected, distance, need, _, action in ranked
         if action is not None
     )
     certain = [entry for entry in entries if entry.chance == 1.0]
@@ -334,5 +335,5 @@ def _policy(problem: Problem, search: Search) -> Policy:
         {scale.fluent: (scale.ends[0] if low else -inf, scale.ends[1] if high else inf) for scale in task.scales} for low, high in sides
     )
     is_proved = not first.risk and not all(unproved(problem, certain, initial_knowledge(problem), one) for one in ends)
-    steps = partial(policy_steps, task, list(search.entries))
+    steps = partial(policy_steps, task, ranked)
     return Policy(problem, entries, 1.0 - first.risk, is_proved, steps, task.measure)

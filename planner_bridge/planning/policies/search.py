@@ -17,9 +17,11 @@ from __future__ import annotations
 import time
 from bisect import insort
 from collections import defaultdict, deque
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from functools import reduce
 from math import inf
+from operator import or_
 from typing import Final, NamedTuple
 
 from planner_bridge.model.plan import CancelToken
@@ -78,7 +80,9 @@ class Search:
         self.task, self.kairos, self.until, self._cancel = task, kairos, until, cancel
         self.dead = DeadStates(task)
         self.entries: list[SettledPart] = []
-        """The best ones first."""
+        """In the order in which they were found."""
+        self._found: dict[int, tuple[SettledPart | None, int]] = {}
+        """The best ones for states, among how many."""
         self._best = BestWays({}, {}, {})
         self._lost = frozenset[int]()
         """States that are given up."""
@@ -105,14 +109,23 @@ class Search:
             return SettledPart(0.0, 0.0, 0.0, part, 0, None)
         if state in self._lost:
             return SettledPart(1.0, 0.0, inf, ANY, 0, None)
-        return next((entry for entry in self.entries if not (entry[3][0] & ~state or entry[3][1] & state)), None)
+        found, among = self._found.get(state, (None, 0))
+        if among < len(self.entries):
+            fitting = [entry for entry in self.entries[among:] if not (entry[3][0] & ~state or entry[3][1] & state)]
+            found = min(fitting if found is None else [*fitting, found], default=None)
+            self._found[state] = found, len(self.entries)
+        return found
+
+    def give_up(self, lost: frozenset[int]) -> None:
+        """Give these states up, and forbid nothing because of them; forget the entries that take other chances."""
+        self.dead, self._lost = DeadStates(self.task), lost
+        self.entries, self._found = [entry for entry in self.entries if not entry.risk], {}
+        self._doomed.clear()
+        self._forbidden_here.clear()
 
     def follow(self, best: BestWays, state: int) -> None:
         """Make entries of what is best for all states that can be reached from this one, instead of plans of their own."""
-        self.dead, self._chosen, self._best = DeadStates(self.task), dict(best.choice), best
-        self._lost = frozenset(one for one, risk in best.risks.items() if risk >= 1.0 - SAME)
-        self._doomed.clear()
-        self._forbidden_here.clear()
+        self._chosen, self._best = dict(best.choice), best
         self.run(state)
 
     def _is_settled(self, state: int) -> bool:
@@ -232,25 +245,34 @@ class Search:
             self.dead.add(part)
         return part is not None
 
-    def _keep(self, state: int, steps: Iterable[Step]) -> None:
+    def _keep(self, state: int, steps: list[Step]) -> None:
         """Keep a plan, unless an outcome on its way is a dead end; that is noted.
 
         What is kept: its actions for the states on its way, and what has to hold before each for whatever other states fit.
         """
         way: list[tuple[int, Step]] = []
+        ahead = [0]
+        for action, number in reversed(steps):
+            ahead.append(reduce(or_, (change.add for change in action.outcomes[number].changes), ahead[-1]))
         is_safe = True
-        for action, number in steps:
-            if self.task.goal_in(state) or action.condition_in(state) is None:
+        for step in steps:
+            if self.task.goal_in(state) or step[0].condition_in(state) is None:
                 break
-            way.append((state, (action, number)))
-            for after in (outcome.after(state) for outcome in action.outcomes):
-                is_new = after not in self._looked_at
-                self._looked_at.add(after)
-                is_dead = after in self._doomed or (is_new and not self.settled(after) and self._is_dead(after))
-                if is_dead and not self.dead.is_forbidden(action, state):
-                    self._forbid_here(action, state, after)
-            is_safe &= not self.dead.is_forbidden(action, state)
-            state = action.outcomes[number].after(state)
+            hoped = step[0].outcomes[step[1]].after(state)
+            for taken in self._alike(state, step, ahead[len(steps) - len(way)]):
+                action = taken[0]
+                for after in (outcome.after(state) for outcome in action.outcomes):
+                    is_new = after not in self._looked_at and after != hoped  # from there the plan goes on
+                    self._looked_at.add(after)
+                    is_dead = after in self._doomed or (is_new and not self.settled(after) and self._is_dead(after))
+                    if is_dead and not self.dead.is_forbidden(action, state):
+                        self._forbid_here(action, state, after)
+                if not self.dead.is_forbidden(action, state):
+                    break
+            else:
+                is_safe = False
+            way.append((state, taken))
+            state = hoped
         if not is_safe:
             return
         need = self.task.goal_in(state)
@@ -270,6 +292,21 @@ class Search:
             if (chosen := self._chosen.get(state)) is not None and not self.dead.is_forbidden(chosen, state):
                 break
             self._chosen[state] = action
+
+    def _alike(self, state: int, step: Step, ahead: int) -> list[Step]:
+        """Return a step and others that hope for the same, those first of which more that is ahead is to be expected."""
+        if len(step[0].outcomes) == 1:
+            return [step]
+        hoped, found = step[0].outcomes[step[1]].after(state), {step[0]: step[1]}
+        for action in self.task.usable(state):
+            for number, outcome in enumerate(action.outcomes):
+                if outcome.after(state) == hoped:
+                    found.setdefault(action, number)
+
+        def gain(step: Step) -> float:
+            return sum(outcome.chance * (outcome.after(state) & ~state & ahead).bit_count() for outcome in step[0].outcomes)
+
+        return sorted(found.items(), key=gain, reverse=True)
 
     # --- a component ---
 
@@ -338,7 +375,7 @@ class Search:
             need = self.task.closed(needs[state])
             entry = SettledPart(round(risk[state], 6), expected[state], distance[state], need, len(self.entries), actions[state])
             if not any(entry.need.implies(other.need) for other in self.entries if other[:2] <= entry[:2]):
-                insort(self.entries, entry)
+                self.entries.append(entry)
         return True
 
 

@@ -149,6 +149,11 @@ class Exact:
     @property
     def has_strong_cyclic_policy(self) -> bool:
         """Whether some policy reaches the goal from the initial state as long as every outcome comes up sooner or later."""
+        return self.is_goal(self.initial) or self.initial in self.certain
+
+    @cached_property
+    def certain(self) -> dict[State, list[dict[State, float]]]:
+        """The states from which the goal can be reached for certain, with the ways that do not lead out of them."""
         kept = set(self.transitions)
         while True:
             safe = {
@@ -163,8 +168,19 @@ class Exact:
                     state for state, ways in safe.items() if any(after in reaching or self.is_goal(after) for way in ways for after in way)
                 }
             if reaching == kept:
-                return self.is_goal(self.initial) or self.initial in kept
+                return safe
             kept = reaching
+
+    @property
+    def fewest_actions(self) -> float:
+        """How many actions are expected at least if the goal is reached for certain (value iteration)."""
+        costs, change = dict.fromkeys(self.certain, 0.0), 1.0
+        while change > 1e-9:
+            change = 0.0
+            for state, ways in self.certain.items():
+                value = min(1.0 + sum(p * costs.get(after, 0.0) for after, p in way.items()) for way in ways)
+                change, costs[state] = max(change, abs(value - costs[state])), value
+        return costs.get(self.initial, 0.0)
 
     @property
     def best_chance(self) -> float:

@@ -47,10 +47,12 @@ def test_the_best_policy_is_found(seed: int) -> None:
         assert exact.best_chance == 0.0
         return
     best = every[-1]
-    chance, _, ends_at_goal = exact.played(best)
+    chance, actions, ends_at_goal = exact.played(best)
     assert chance == pytest.approx(exact.best_chance, abs=1e-5)
     assert chance == pytest.approx(best.chance, abs=1e-5)
     assert ends_at_goal is best.is_proved is exact.has_strong_cyclic_policy, unproved(problem, best.entries, initial_knowledge(problem))
+    if best.is_proved:
+        assert actions == pytest.approx(exact.fewest_actions, rel=0.01)
 
 
 def test_the_short_way_is_not_taken_where_it_may_have_no_way_out() -> None:
@@ -135,3 +137,24 @@ def test_a_plan_that_hardly_ever_works_out_is_mended_where_it_goes_wrong(monkeyp
     policy = next(policies(parse_problem(text, parse_domain(STAIRS)), 60.0))
     assert policy.chance == pytest.approx(0.995**29)
     assert len(looked_into) < 500
+
+
+WALK = """
+(define (domain walk) (:requirements :typing :non-deterministic) (:types column row) (:constants x5 - column)
+  (:predicates (in ?x - column) (on ?y - row) (right ?x ?z - column) (up ?y ?z - row))
+  (:action %s :parameters (?x ?r - column ?y ?d - row) :precondition (and (in ?x) (on ?y) (right ?x ?r) (up ?d ?y))
+    :effect (oneof (and (not (in ?x)) (in ?r)) (and (not (on ?y)) (on ?d))))
+  (:action %s :parameters (?x ?r - column ?y ?u - row) :precondition (and (in ?x) (on ?y) (right ?x ?r) (up ?y ?u))
+    :effect (oneof (and (not (in ?x)) (in ?r)) (and (not (on ?y)) (on ?u))))
+  (:action straight :parameters (?y ?u - row) :precondition (and (in x5) (on ?y) (up ?y ?u)) :effect (and (not (on ?y)) (on ?u))))
+"""
+
+
+@pytest.mark.parametrize("names", [("a", "b"), ("b", "a")])
+def test_of_actions_that_hope_for_the_same_a_plan_has_the_one_that_does_not_lead_back(names: tuple[str, str]) -> None:
+    ways = " ".join(f"(right x{number} x{number + 1}) (up y{number} y{number + 1})" for number in range(5))
+    objects = f"{' '.join(f'x{number}' for number in range(5))} - column {' '.join(f'y{number}' for number in range(6))} - row"
+    text = f"(define (problem p) (:domain walk) (:objects {objects}) (:init (in x0) (on y1) {ways}) (:goal (and (in x5) (on y5))))"
+    policy = next(policies(parse_problem(text, parse_domain(WALK % names)), 60.0))
+    assert policy.is_proved
+    assert policy.steps()[0].expected < 12.0
