@@ -5,11 +5,11 @@ from __future__ import annotations
 import threading
 import time
 import weakref
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Generator, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cached_property, partial
-from itertools import product
+from itertools import chain, product
 from math import inf, isfinite
 from types import MappingProxyType
 from typing import Final, NamedTuple
@@ -143,7 +143,7 @@ class Policy:
             begun = _Changed(state, changes(action.start_effects, state))
             ways = [(way.name, _Changed(begun, changes(way.effects, begun))) for way in action.outcomes]
             outcome, state = (
-                min(ways, key=lambda way: self._distance(way[1])) if ways else ("", _Changed(begun, changes(action.end_effects, begun)))
+                min(ways, key=lambda way: self._left(way[1])) if ways else ("", _Changed(begun, changes(action.end_effects, begun)))
             )
             steps.append(PlanStep(entry.action, entry.arguments, now, duration or 0.0, outcome))
             now += GAP + (duration or 0.0) if is_timed else 1.0
@@ -151,11 +151,12 @@ class Policy:
                 break
         return Plan(tuple(steps), is_timed)
 
-    def _distance(self, state: State) -> float:
+    def _left(self, state: State) -> tuple[float, float]:
+        """Return the risk and the expected cost of what is left: less for one outcome at least, so that plans come to an end."""
         if evaluate(self.problem.goal, state) is True:
-            return 0
+            return 0.0, 0.0
         entry = self.entry(state)
-        return inf if entry is None else entry.distance
+        return (1.0, inf) if entry is None else (1.0 - entry.chance, entry.expected)
 
     @cached_property
     def _bits(self) -> dict[Fluent, int]:
@@ -291,25 +292,34 @@ def policies(problem: Problem, timeout: float, cancel: CancelToken | None = None
 
 
 def _better(problem: Problem, task: PolicyTask, began: float, timeout: float, cancel: CancelToken | None) -> Iterator[Policy]:
-    until = began + timeout
-    search = Search(task, OutcomePlanner(problem, task), began + timeout * _CERTAIN, cancel)
-    is_exact = all(scale.is_exact for scale in task.scales)
+    until, kairos = began + timeout, OutcomePlanner(problem, task)
+    search = Search(task, kairos, began + timeout * _CERTAIN, cancel)
     with suppress(Interrupted):
-        if search.run(task.initial):
-            policy = _policy(problem, search)
-            if not policy.is_proved and not is_exact:
-                return
-            yield policy
-            search.until = until
-            for _ in improve(search, until):
-                policy = _policy(problem, search)
-                if policy.is_proved or is_exact:
-                    yield policy
+        if (yield from _certain(problem, search, until)):
             return
+    if all(scale.is_exact for scale in task.scales):
+        chances = Search(task, kairos, until, cancel)
+        chances.entries += search.entries
+        with suppress(Interrupted):
+            for _ in take_chances(chances, until):
+                yield _policy(problem, chances)
     search.until = until
     with suppress(Interrupted):
-        for _ in take_chances(search, until) if is_exact else ():
-            yield _policy(problem, search)
+        if not search.is_over(until):
+            yield from _certain(problem, search, until)
+
+
+def _certain(problem: Problem, search: Search, until: float) -> Generator[Policy, None, bool]:
+    """Yield better and better policies that reach the goal for certain; return whether there are any, in so far as there was time."""
+    if not search.run(search.task.initial):
+        return False
+    search.until = until
+    is_exact = all(scale.is_exact for scale in search.task.scales)
+    for _ in chain((None,), improve(search, until)):
+        policy = _policy(problem, search)
+        if policy.is_proved or is_exact:
+            yield policy
+    return True
 
 
 def _policy(problem: Problem, search: Search) -> Policy:
