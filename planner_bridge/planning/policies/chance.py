@@ -34,6 +34,8 @@ _STEPS: Final = 300
 """Actions for which chances are followed from the initial state."""
 _HARDLY: Final = 0.003
 """A chance of a state that hardly counts."""
+_IN_VAIN: Final = 200
+"""States beside those of a policy that are looked at together, and nothing costs less, before that is the end."""
 _AT_ONCE: Final = 20
 """States that are planned for before what is best is worked out anew, at most."""
 
@@ -204,8 +206,9 @@ def improve(search: Search, until: float) -> Iterator[None]:
         search.follow(envelope.best(until, costs), initial)
         first = search.settled(initial)
         if first is not None and first.expected < before.expected * (1.0 - _CLOSE):
+            most = _AT_ONCE
             yield
-        elif len(search.entries) < _FEW and (new := _beside(search, dict.fromkeys((*costs, *others)), most)):
+        elif most < _IN_VAIN and len(search.entries) < _FEW and (new := _beside(search, dict.fromkeys((*costs, *others)), most)):
             others += new
             most *= 2
         else:
