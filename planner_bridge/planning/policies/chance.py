@@ -61,18 +61,28 @@ class Envelope:
 
     Args:
         end: says what is known of a state, None if it has to be looked into.
+        is_lost: says whether a state that is to be looked into turns out to be a dead end.
     """
 
-    def __init__(self, search: Search, end: Callable[[int], KnownEnd | None]) -> None:
-        self._task, self._end, self._is_over = search.task, end, search.is_over
+    def __init__(self, search: Search, end: Callable[[int], KnownEnd | None], is_lost: Callable[[int], bool] = lambda state: False) -> None:
+        self._task, self._end, self._is_lost, self._is_over = search.task, end, is_lost, search.is_over
         self.ways: dict[int, list[ActionWay]] = {}
         self.ends: dict[int, KnownEnd] = {}
         self.open: dict[int, None] = {}
         """States that are not looked into yet."""
 
+    def is_dead_end(self, state: int) -> bool:
+        """Return whether a state that matters is a dead end, and note it."""
+        if self._is_lost(state):
+            self.open.pop(state, None)
+            self.ends[state] = KnownEnd(1.0, 0.0)
+        return state in self.ends
+
     def expand(self, state: int) -> list[int]:
         """Look into a state; return the states that its actions may lead to, and that nothing is known of yet."""
         new: list[int] = []
+        if self.is_dead_end(state):
+            return new
         self.open.pop(state, None)
         self.ways[state] = found = []
         for action in self._task.usable(state):
@@ -95,7 +105,7 @@ class Envelope:
         """Look into all states that can be reached; return whether these are not too many."""
         waiting = [state, *self.open]
         for one in waiting:
-            if one not in self.ways:
+            if one not in self.ways and one not in self.ends:
                 if len(self.ways) >= most or self._is_over(until):
                     return False
                 waiting += self.expand(one)
@@ -231,18 +241,20 @@ def _beside(search: Search, known: Mapping[int, None], most: int) -> list[int]:
 def take_chances(search: Search, until: float) -> Iterator[None]:
     """Find better and better chances of the goal where it cannot be reached for certain: entries of the search."""
     task, hopeless, avoided = search.task, DeadStates(search.task), DeadStates(search.task)
+    tested = set[int]()
 
     def end(state: int) -> KnownEnd | None:
         entry = search.settled(state)
         if entry is not None and not entry.risk:
             return KnownEnd(0.0, entry.expected)
-        if state not in hopeless:
-            part = hopeless.explained(state)
-            if part is None:
-                return None
+        return KnownEnd(1.0, 0.0) if state in hopeless else None
+
+    def is_lost(state: int) -> bool:
+        if state not in tested and state not in hopeless and (part := hopeless.explained(state)):
             hopeless.ends.append(part)
             avoided.add(part)
-        return KnownEnd(1.0, 0.0)
+        tested.add(state)
+        return state in hopeless
 
     def follow() -> bool:
         best = envelope.best(inf)
@@ -251,9 +263,9 @@ def take_chances(search: Search, until: float) -> Iterator[None]:
             search.follow(best, task.initial)
         return task.initial in best.choice
 
-    if end(task.initial) is not None:
+    if end(task.initial) is not None or is_lost(task.initial):
         return
-    envelope = Envelope(search, end)
+    envelope = Envelope(search, end, is_lost)
     now = time.monotonic()
     _widen(search, avoided, envelope, now + _SHARE * (until - now), unseen=1.0)
     if follow():
@@ -280,7 +292,7 @@ def _widen(search: Search, avoided: DeadStates, envelope: Envelope, until: float
     while likely:
         for state in likely:
             envelope.expand(state)
-            for forbidden in (avoided.forbidden, _NONE):
+            for forbidden in (avoided.forbidden, _NONE) if state in envelope.ways else ():
                 at = state
                 try:
                     steps = search.kairos.plan(state, forbidden, until, WAYS[:-1])
@@ -290,6 +302,9 @@ def _widen(search: Search, avoided: DeadStates, envelope: Envelope, until: float
                     planned.setdefault(at, action)
                     if at not in envelope.ways and at not in envelope.ends:
                         envelope.expand(at)
+                    for outcome in action.outcomes:
+                        if (one := outcome.after(at)) in envelope.open:
+                            envelope.is_dead_end(one)
                     at = action.outcomes[number].after(at)
         if search.is_over(until) or len(envelope.ways) > MOST_STATES:
             return False
