@@ -218,14 +218,14 @@ def improve(search: Search, until: float) -> Iterator[None]:
         if first is not None and first.expected < before.expected * (1.0 - _CLOSE):
             most = _AT_ONCE
             yield
-        elif most < _IN_VAIN and len(search.entries) < _FEW and (new := _beside(search, dict.fromkeys((*costs, *others)), most)):
+        elif most < _IN_VAIN and len(search.entries) < _FEW and (new := beside(search, dict.fromkeys((*costs, *others)), most)):
             others += new
             most *= 2
         else:
             return
 
 
-def _beside(search: Search, known: Mapping[int, None], most: int) -> list[int]:
+def beside(search: Search, known: Mapping[int, None], most: int) -> list[int]:
     """Find entries for states that other actions may lead to, those of several outcomes first; return the new ones, about so many."""
     found: dict[int, None] = {}
     for is_certain, state in product((False, True), known):

@@ -259,7 +259,7 @@ class Search:
             if self.task.goal_in(state) or step[0].condition_in(state) is None:
                 break
             hoped = step[0].outcomes[step[1]].after(state)
-            for taken in self._alike(state, step, ahead[len(steps) - len(way)]):
+            for taken in self.alike(state, step, ahead[len(steps) - len(way)]):
                 action = taken[0]
                 for after in (outcome.after(state) for outcome in action.outcomes):
                     is_new = after not in self._looked_at and after != hoped  # from there the plan goes on
@@ -293,7 +293,7 @@ class Search:
                 break
             self._chosen[state] = action
 
-    def _alike(self, state: int, step: Step, ahead: int) -> list[Step]:
+    def alike(self, state: int, step: Step, ahead: int) -> list[Step]:
         """Return a step and others that hope for the same, those first of which more that is ahead is to be expected."""
         if len(step[0].outcomes) == 1:
             return [step]
