@@ -70,6 +70,8 @@ class Envelope:
         self.ends: dict[int, KnownEnd] = {}
         self.open: dict[int, None] = {}
         """States that are not looked into yet."""
+        self._before: dict[int, dict[int, list[int]]] = defaultdict(dict)
+        """For each state, the states that lead there, each with the numbers of its ways that do."""
 
     def is_dead_end(self, state: int) -> bool:
         """Return whether a state that matters is a dead end, and note it."""
@@ -92,6 +94,7 @@ class Envelope:
             if after.keys() != {state}:
                 found.append(ActionWay(action, tuple(after.items())))
                 for one in after:
+                    self._before[one].setdefault(state, []).append(len(found) - 1)
                     if one not in self.ways and one not in self.ends and one not in self.open:
                         end = self._end(one)
                         if end is None:
@@ -121,48 +124,55 @@ class Envelope:
         states, certain = [*reversed(self.ways)], self._certain()
         risks = {state: end.risk for state, end in self.ends.items()} | dict.fromkeys(self.open, unseen)
         risks |= {state: 0.0 if state in certain else 1.0 for state in states}
-        rows = [(state, [way.after for way in self.ways[state]]) for state in states if state not in certain and self.ways[state]]
-        change = inf
-        while change > _EXACT and not self._is_over(until):
-            change = 0.0
-            for state, ways in rows:
-                value = min([sum([p * risks[after] for after, p in way]) for way in ways])
-                if risks[state] - value > change:
-                    change = risks[state] - value
-                risks[state] = value
+        after = {state: [way.after for way in self.ways[state]] for state in states if state not in certain and self.ways[state]}
+
+        def risk(state: int) -> float:
+            return min([sum([p * risks[one] for one, p in pairs]) for pairs in after[state]])
+
+        self._iterate(risks, [*after], risk, lambda old, new: old - new > _EXACT, until)
         costs = {state: end.expected for state, end in self.ends.items()} | dict.fromkeys(self.open, 0.0)
         costs |= {state: known.get(state, 0.0) for state in states}
         choice: dict[int, PolicyAction] = {}
-        good = list[tuple[int, list[tuple[PolicyAction, float, list[tuple[int, float]]]]]]()
+        good: dict[int, list[tuple[PolicyAction, float, list[tuple[int, float]]]]] = {}
         for state in states:
             limit = risks[state] + (0.0 if state in certain else SAME)
             if limit < 1.0:
-                fitting = [way for way in self.ways[state] if sum([p * risks[after] for after, p in way.after]) <= limit]
-                stays = [sum(p for after, p in way.after if after == state) for way in fitting]
+                fitting = [way for way in self.ways[state] if sum([p * risks[one] for one, p in way.after]) <= limit]
+                stays = [sum(p for one, p in way.after if one == state) for way in fitting]
                 others = [[pair for pair in way.after if pair[0] != state] for way in fitting]
-                good.append((state, [(way.action, 1.0 - p, rest) for way, p, rest in zip(fitting, stays, others, strict=True)]))
-        change = inf
-        while change > _CLOSE and not self._is_over(until):
-            change = 0.0
-            for state, fit in good:
-                value = inf
-                for action, goes, rest in fit:
-                    cost = (action.cost + sum([p * costs[after] for after, p in rest])) / goes
-                    if cost < value:
-                        value, choice[state] = cost, action
-                if abs(value - costs[state]) > change * value:
-                    change = abs(value - costs[state]) / value
-                costs[state] = value
+                good[state] = [(way.action, 1.0 - p, rest) for way, p, rest in zip(fitting, stays, others, strict=True)]
+
+        def cost(state: int) -> float:
+            value = inf
+            for action, goes, rest in good[state]:
+                one = (action.cost + sum([p * costs[after] for after, p in rest])) / goes
+                if one < value:
+                    value, choice[state] = one, action
+            return value
+
+        self._iterate(costs, [*good], cost, lambda old, new: abs(new - old) > _CLOSE * new, until)
         return BestWays(choice, risks, costs)
+
+    def _iterate(
+        self,
+        values: dict[int, float],
+        states: list[int],
+        value: Callable[[int], float],
+        differs: Callable[[float, float], bool],
+        until: float,
+    ) -> None:
+        """Work out values of states anew until none differs: each again only when one that it may lead to has changed."""
+        touched: set[int] = set(states)
+        while touched and not self._is_over(until):
+            now, touched = touched, set()
+            for state in states:
+                if state in now and differs(values[state], new := value(state)):
+                    values[state] = new
+                    touched.update(self._before[state])
 
     def _certain(self) -> set[int]:
         """Return the states from which the goal can be reached for certain."""
         kept = set(self.ways)
-        before: dict[int, list[tuple[int, int]]] = defaultdict(list)
-        for state, ways in self.ways.items():
-            for number, way in enumerate(ways):
-                for after, _ in way.after:
-                    before[after].append((state, number))
         sure = [state for state, end in self.ends.items() if not end.risk]
 
         def is_safe(state: int, number: int) -> bool:
@@ -171,8 +181,8 @@ class Envelope:
         while True:
             reaching, waiting = set[int](), [*sure]
             while waiting:
-                for state, number in before[waiting.pop()]:
-                    if state in kept and state not in reaching and is_safe(state, number):
+                for state, numbers in self._before[waiting.pop()].items():
+                    if state in kept and state not in reaching and any(is_safe(state, number) for number in numbers):
                         reaching.add(state)
                         waiting.append(state)
             if len(reaching) == len(kept):
@@ -256,39 +266,44 @@ def take_chances(search: Search, until: float) -> Iterator[None]:
         tested.add(state)
         return state in hopeless
 
-    def follow() -> bool:
+    def follow() -> float:
+        """Make entries of what is best; return its risk."""
         best = envelope.best(inf)
         if task.initial in best.choice:
             search.give_up(frozenset(one for one, risk in best.risks.items() if risk >= 1.0 - SAME))
             search.follow(best, task.initial)
-        return task.initial in best.choice
+        return best.risks[task.initial]
 
     if end(task.initial) is not None or is_lost(task.initial):
         return
     envelope = Envelope(search, end, is_lost)
     now = time.monotonic()
     _widen(search, avoided, envelope, now + _SHARE * (until - now), unseen=1.0)
-    if follow():
+    if follow() < 1.0:
         yield
-    if not envelope.grow(task.initial, until, _FEW):
-        now = time.monotonic()
-        is_best = _widen(search, avoided, envelope, now + _SHARE * (until - now), unseen=0.0)
-        if follow():
+    most = _FEW
+    while not envelope.grow(task.initial, until, most):
+        if (risk := follow()) < 1.0:
             yield
-        if is_best or not envelope.grow(task.initial, until):
+        now = time.monotonic()
+        if most == _FEW and _widen(search, avoided, envelope, now + _SHARE * (until - now), unseen=0.0, enough=risk):
+            break
+        if most == MOST_STATES or search.is_over(until):
             return
-    if follow():
+        most = min(2 * most, MOST_STATES)
+    if follow() < 1.0:
         yield
 
 
-def _widen(search: Search, avoided: DeadStates, envelope: Envelope, until: float, unseen: float) -> bool:
+def _widen(search: Search, avoided: DeadStates, envelope: Envelope, until: float, unseen: float, enough: float = inf) -> bool:
     """Look into states on the way of plans, and again of plans from where outcomes are likely to lead out; return whether none does.
 
     After RFF (Teichteil-Koenigsbuch, Kuter and Infantes, *Incremental Plan Aggregation for Generating Policies in MDPs*, 2010). If states
-    that are not looked into count as sure (`unseen` is 0), nothing is better in the end (LAO*, Hansen and Zilberstein, 2001).
+    that are not looked into count as sure (`unseen` is 0), nothing is better in the end (LAO*, Hansen and Zilberstein, 2001), nor as
+    soon as the risk is not below one that is known to be possible (`enough`).
     Plans say what to do as long as their chance is too small to count.
     """
-    likely, planned = [search.task.initial], dict[int, PolicyAction]()
+    likely, planned, best = [search.task.initial], dict[int, PolicyAction](), BestWays({}, {}, {})
     while likely:
         for state in likely:
             envelope.expand(state)
@@ -308,7 +323,10 @@ def _widen(search: Search, avoided: DeadStates, envelope: Envelope, until: float
                     at = action.outcomes[number].after(at)
         if search.is_over(until) or len(envelope.ways) > MOST_STATES:
             return False
-        likely = _reached(search.task.initial, {**planned, **envelope.best(until, unseen=unseen).choice}, envelope)
+        best = envelope.best(until, best.costs, unseen)
+        if best.risks[search.task.initial] >= enough - SAME:
+            return True
+        likely = _reached(search.task.initial, {**planned, **best.choice}, envelope)
     return True
 
 

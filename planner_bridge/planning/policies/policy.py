@@ -17,6 +17,7 @@ from typing import Final, NamedTuple
 from planner_bridge.model.grounding import ground_step, initial_knowledge, modelled_duration
 from planner_bridge.model.plan import GAP, CancelToken, Plan, PlanStep
 from planner_bridge.model.problem import Problem
+from planner_bridge.planning.kairos import LONGEST, SHARE
 from planner_bridge.planning.policies.chance import improve, take_chances
 from planner_bridge.planning.policies.encoding import OutcomePlanner
 from planner_bridge.planning.policies.grounding import Seconds, policy_task
@@ -216,12 +217,16 @@ class Thinking:
 
         Args:
             timeout: seconds at most.
-            improve: seconds to wait for a better one; by default, some for one that is not sure to reach the goal, or has other costs than
-                its calls, of which it was not made to have few.
+            improve: seconds to wait for a better one; by default, a share of what it takes for one that is not sure to reach the goal, and
+                some for one that has other costs than its calls, of which it was not made to have few.
         """
+        until = time.monotonic() + timeout
         self._found.wait(timeout)
-        if self.policy is not None and (improve is not None or not self.policy.is_proved or self.policy.measure != "calls"):
-            self._over.wait(_CHANCE if improve is None else improve)
+        if (found := self.policy) is not None and (improve is not None or not found.is_proved or found.measure != "calls"):
+            if improve is None:
+                first = None if found.is_proved else found.entry(initial_knowledge(self.problem))
+                improve = _CHANCE if first is None else max(_CHANCE, min(LONGEST, first.expected * SHARE))
+            self._over.wait(max(0.0, min(improve, until - time.monotonic())))
         return self.policy
 
     @property
