@@ -16,6 +16,7 @@ from typing import Any, Final, Protocol
 
 from planner_bridge.model.grounding import initial_knowledge, modelled_duration
 from planner_bridge.model.problem import Problem
+from pnm.core.knowledge_base import KnowledgeBase
 from pnm.core.logic.expressions import State
 from pnm.errors import InputError, Position, counted, suggestion
 
@@ -119,7 +120,7 @@ class Policy(Protocol):
     def is_proved(self) -> bool:
         """Whether it is proved to reach the goal."""
 
-    def stretch(self, state: State, /) -> Plan | None:
+    def stretch(self, state: KnowledgeBase, /) -> Plan | None:
         """Return what to do from a state up to the next action with several outcomes, or to the goal; None if it says nothing of it."""
 
 

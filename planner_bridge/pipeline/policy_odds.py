@@ -92,7 +92,7 @@ class PolicyChain:
         """
         if any(untold(problem, bindings, bindings.assumed)):
             return None
-        read = dynamic_names(problem) & frozenset[str]().union(*map(names, conditions_of(problem)))
+        read = dynamic_names(problem) & problem.domain.rules.base(name for one in conditions_of(problem) for name in names(one))
         numbers: dict[frozenset[tuple[Fluent, object]], int] = {}
         states: list[KnowledgeBase] = []
 

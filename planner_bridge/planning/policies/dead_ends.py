@@ -22,7 +22,7 @@ class DeadStates:
     """The dead ends so far and the forbidden actions: mutable state.
 
     A literal is a number: twice the place of a fact, plus 2 for true and 3 for false; others stand for "this pair of an action and a part
-    does not forbid it". A rule makes its literals possible once all that it needs is.
+    does not forbid it". A rule makes its literals possible once all that it needs is. That a derived fact is false is always possible.
     """
 
     def __init__(self, task: PolicyTask) -> None:
@@ -60,10 +60,12 @@ class DeadStates:
                     self._rule(_literals(part.joined(condition)), _literals(PartialState(add, delete)))
         for part in task.goal:
             self._rule(_literals(part), [_GOAL])
+        for fact, part in (rule for rules in task.rules.strata for rule in rules):
+            self._rule(_literals(part), _literals(PartialState(fact)))
         read = [part for action in task.actions for part in action.conditions] + [
             change.condition for action in task.actions for outcome in action.outcomes for change in outcome.changes
         ]
-        self.read = 0
+        self.read = task.rules.read
         """The facts on which anything depends."""
         for part in (*read, *task.goal):
             self.read |= part.true | part.false
@@ -96,14 +98,15 @@ class DeadStates:
 
     def exactly(self, state: int) -> PartialState:
         """Return the part that stands for the state, and for others that differ in nothing of importance."""
-        true = state & self.read
-        return PartialState(true, ~state & self.read & ~self.task.excluded(true))
+        read = self.read & ~self.task.rules.derived
+        true = state & read
+        return PartialState(true, ~state & read & ~self.task.excluded(true))
 
     def _reached(self, part: PartialState) -> bytearray | None:
         """Return which literals can be reached; None if the goal can."""
         left = self._left.copy()
         reached = bytearray(self._count)
-        true, false = part.true, part.false | self.task.excluded(part.true)
+        true, false = part.true & ~self.task.rules.derived, part.false | self.task.excluded(part.true)
         count = len(self.task.facts)
         everything = (1 << count) - 1
         waiting = [_ALWAYS]
@@ -150,7 +153,7 @@ class DeadStates:
                     true |= here
                 else:
                     false |= bit
-        return PartialState(true, false)
+        return PartialState(true, false & ~self.task.rules.derived)
 
     # --- what is forbidden because of it ---
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import defaultdict, deque
 from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import replace
 from itertools import product
 from math import inf
 from typing import Final, TypeAlias, assert_never
@@ -13,8 +14,10 @@ from planner_bridge.model.problem import TOTAL_TIME, Problem
 from planner_bridge.planning.policies.numbers import AtLeast, PartlyKnown, Scale, values_from
 from planner_bridge.planning.policies.task import (
     ANY,
+    NO_RULES,
     Change,
     Counting,
+    GroundRules,
     PartialState,
     PolicyAction,
     PolicyOutcome,
@@ -24,7 +27,19 @@ from planner_bridge.planning.policies.task import (
 )
 from pnm.core.logic.conditions import All, Compare, Computed, Condition, Holds, conjuncts, evaluate, every_part, ground, names, parts_of
 from pnm.core.logic.domain import ActionSchema
-from pnm.core.logic.effects import Alternative, Effects, ForEach, OneOf, Set, When, changes, every_effect, has_outcomes, outcomes
+from pnm.core.logic.effects import (
+    Alternative,
+    Effects,
+    ForEach,
+    OneOf,
+    Set,
+    When,
+    changes,
+    every_effect,
+    has_outcomes,
+    names_written,
+    outcomes,
+)
 from pnm.core.logic.expressions import (
     DURATION,
     NOTHING,
@@ -67,7 +82,8 @@ class _Grounding:
     """The facts of a problem that actions change, in the order in which they were met: mutable state."""
 
     def __init__(self, problem: Problem, seconds: Seconds | None) -> None:
-        self.problem, self.state, self.changing = problem, initial_knowledge(problem), dynamic_names(problem)
+        self.problem, self.state, self.rules, changing = problem, initial_knowledge(problem), problem.domain.rules, dynamic_names(problem)
+        self.changing = changing.union(name for name in self.rules.derived if self.rules.base((name,)) & changing)
         self.constant = PartlyKnown({}, self.state, self.changing)
         """What is known if nothing is known of what changes."""
         self.seconds = seconds or (lambda action: action.duration or 0.0)
@@ -76,7 +92,7 @@ class _Grounding:
         self.total = counted if counted[0] in self.changing else None
         """What the metric counts, if it does."""
         self.measure = "of the metric" if self.total else "s" if seconds or problem.is_timed else "calls"
-        conditions, functions = [*conditions_of(problem)], problem.domain.functions
+        conditions, functions = [*conditions_of(problem), *(rule.condition for rule in self.rules)], problem.domain.functions
         read = frozenset().union(*map(names, conditions))
         self.counted = frozenset(name for name in self.changing & read & functions.keys() if not functions[name].values)
         """Functions for numbers that actions change, and conditions read."""
@@ -85,7 +101,7 @@ class _Grounding:
             "constraints": problem.constraints or problem.domain.constraints,
             "preferences": problem.has_preferences,
             "tasks and methods": problem.has_tasks,
-            "derived facts": read & problem.domain.rules.derived,
+            "derived facts about numbers that change": self.counted & self.rules.below,
             "objects for values that actions change": self.changing & functions.keys() & read - self.counted,
             "computed conditions": any(isinstance(part, Computed) for condition in conditions for part in every_part(condition)),
         }
@@ -111,7 +127,12 @@ class _Grounding:
             self.scale(actions)
             initial |= sum(scale.up_to(scale.values.index(self.number(fluent))) for fluent, scale in self.scales.items())
             goal, actions = self.parts(self.problem.goal), list(self.actions(alternatives, initial))
-        return PolicyTask(tuple(self.facts), initial, goal, tuple(actions), alternatives, tuple(self.scales.values()), self.measure)
+        if rules := self.ground_rules():
+            initial = rules.state(initial)
+            with_rules = ((action, tuple(way._replace(rules=rules) for way in action.outcomes)) for action in actions)
+            actions = [replace(action, outcomes=ways) for action, ways in with_rules]
+        scales = tuple(self.scales.values())
+        return PolicyTask(tuple(self.facts), initial, goal, tuple(actions), alternatives, scales, self.measure, rules or NO_RULES)
 
     # --- numbers ---
 
@@ -192,6 +213,20 @@ class _Grounding:
             self.facts.append(fact)
         return self.bits[fact]
 
+    def ground_rules(self) -> GroundRules | None:
+        """Return the rules for the derived facts that were met, and for those that they follow from; None if there are none."""
+        derived, strata = 0, defaultdict[int, list[tuple[int, PartialState]]](list)
+        for fact in self.facts:  # grows
+            if isinstance(fact, AtLeast):
+                continue
+            for rule in (rule for rule in self.rules if rule.name == fact[0]):
+                derived |= self.bits[fact]
+                terms = [*zip(fact[1:], rule.variables, strict=True)]
+                if all(name in self.state.objects(variable.types) for name, variable in terms):
+                    parts = self.parts(rule.condition, {variable.name: name for name, variable in terms})
+                    strata[self.rules.strata[rule.name]] += ((self.bits[fact], part) for part in parts)
+        return GroundRules(tuple(tuple(strata[stratum]) for stratum in sorted(strata)), derived) if derived else None
+
     def parts(self, condition: Condition, env: Environment = NOTHING, truth: bool = True) -> tuple[PartialState, ...]:
         """Return the parts of the condition, or of its opposite: each is enough."""
         match condition:
@@ -250,12 +285,15 @@ class _Grounding:
             start = _merged(early)
             early_conditions = {one.condition for one in start} | {one.condition for one in counting}
             depends = not early_conditions <= {ANY} or has_outcomes(schema.start_effects)
-            if counting:
+            if schema.start_effects:
                 later = (part.condition for part in every_effect(schema.end_effects) if isinstance(part, When))
                 read = names(All((schema.invariant, schema.end_condition, *later)))
                 depends |= any(one.effect.fluent[0] in read for one in counting)
+                depends |= not self.rules.base(read & self.rules.derived).isdisjoint(names_written(schema.start_effects))
             if len(start) > 1 or depends:
-                raise Unsuitable(f"no policy is looked for: {schema.name} has effects at its start that depend on something")
+                raise Unsuitable(
+                    f"no policy is looked for: {schema.name} has effects at its start that depend on something, or others on them"
+                )
             begun = start[0] if start else Change(ANY, 0, 0)
             ended = [begun.before(part) for part in self.parts(All((schema.invariant, schema.end_condition)), env)]
             both = (one.joined(other) for one, other in product(self.parts(schema.precondition, env), ended) if other is not None)
@@ -341,7 +379,8 @@ class _Instances:
             elif value is True:
                 self.add(fact)
         for number, schema in enumerate(grounding.problem.domain.actions.values()):
-            atoms = [part.fluent for part in conjuncts(schema.precondition) if isinstance(part, Holds)]
+            holding = (part.fluent for part in conjuncts(schema.precondition) if isinstance(part, Holds))
+            atoms = [atom for atom in holding if atom[0] not in grounding.rules.derived]
             self.schemas.append((schema, atoms))
             for place, atom in enumerate(atoms):
                 if atom[0] in grounding.changing:

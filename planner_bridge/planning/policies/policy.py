@@ -17,6 +17,7 @@ from typing import Final, NamedTuple
 from planner_bridge.model.grounding import ground_step, initial_knowledge, modelled_duration
 from planner_bridge.model.plan import GAP, CancelToken, Plan, PlanStep
 from planner_bridge.model.problem import Problem
+from planner_bridge.model.progression import snapshot
 from planner_bridge.planning.kairos import LONGEST, SHARE
 from planner_bridge.planning.policies.chance import improve, take_chances
 from planner_bridge.planning.policies.encoding import OutcomePlanner
@@ -26,10 +27,10 @@ from planner_bridge.planning.policies.proof import unproved
 from planner_bridge.planning.policies.search import Interrupted, Search
 from planner_bridge.planning.policies.steps import MOST, Step, policy_steps
 from planner_bridge.planning.policies.task import PolicyTask
-from pnm.core.knowledge_base import statement_text
+from pnm.core.knowledge_base import KnowledgeBase, statement_text
 from pnm.core.logic.conditions import Compare, evaluate
-from pnm.core.logic.effects import changes
-from pnm.core.logic.expressions import Constant, Fluent, State, Unknown, Value, ValueOf
+from pnm.core.logic.effects import Effects, changes
+from pnm.core.logic.expressions import Constant, Fluent, State, ValueOf
 
 _CHANCE: Final = 0.5
 """Seconds for a better chance before the first action."""
@@ -124,15 +125,15 @@ class Policy:
         number = next((place for place, part in enumerate(self._parts) if not (part[0] & ~true or part[1] & ~false)), None)
         return None if number is None else self.entries[number]
 
-    def stretch(self, state: State) -> Plan | None:
+    def stretch(self, state: KnowledgeBase) -> Plan | None:
         """Return what to do from a state up to the next action with several outcomes, or to the goal; None if there is no entry for it."""
         return self._plan(state, is_whole=False)
 
-    def plan(self, state: State) -> Plan | None:
+    def plan(self, state: KnowledgeBase) -> Plan | None:
         """Return what to do from a state up to the goal with luck: of several outcomes, that which is nearest to it comes about."""
         return self._plan(state, is_whole=True)
 
-    def _plan(self, state: State, is_whole: bool) -> Plan | None:
+    def _plan(self, state: KnowledgeBase, is_whole: bool) -> Plan | None:
         steps: list[PlanStep] = []
         domain, is_timed, now = self.problem.domain, self.problem.is_timed, 0.0
         while evaluate(self.problem.goal, state) is not True:
@@ -141,11 +142,9 @@ class Policy:
                 return None
             duration = modelled_duration(domain.actions[entry.action], entry.arguments, state)
             action = ground_step(domain, entry.action, entry.arguments, duration, "", self.problem.members)
-            begun = _Changed(state, changes(action.start_effects, state))
-            ways = [(way.name, _Changed(begun, changes(way.effects, begun))) for way in action.outcomes]
-            outcome, state = (
-                min(ways, key=lambda way: self._left(way[1])) if ways else ("", _Changed(begun, changes(action.end_effects, begun)))
-            )
+            begun = _after(action.start_effects, state)
+            ways = [(way.name, _after(way.effects, begun)) for way in action.outcomes]
+            outcome, state = min(ways, key=lambda way: self._left(way[1])) if ways else ("", _after(action.end_effects, begun))
             steps.append(PlanStep(entry.action, entry.arguments, now, duration or 0.0, outcome))
             now += GAP + (duration or 0.0) if is_timed else 1.0
             if ways and not is_whole:
@@ -182,18 +181,10 @@ class Policy:
         ]
 
 
-@dataclass(frozen=True, slots=True)
-class _Changed:
-    """A state after changes."""
-
-    before: State
-    changed: Mapping[Fluent, Value | Unknown]
-
-    def value(self, fluent: Fluent, /) -> Value | Unknown | None:
-        return self.changed[fluent] if fluent in self.changed else self.before.value(fluent)
-
-    def objects(self, types: tuple[str, ...], /) -> tuple[str, ...]:
-        return self.before.objects(types)
+def _after(effects: Effects, before: KnowledgeBase) -> KnowledgeBase:
+    state = snapshot(before)
+    state.record(changes(effects, before))
+    return state
 
 
 class Thinking:
@@ -249,7 +240,7 @@ class Thinking:
         """Whether the best policy so far is proved to reach the goal."""
         return self.policy is not None and self.policy.is_proved
 
-    def stretch(self, state: State) -> Plan | None:
+    def stretch(self, state: KnowledgeBase) -> Plan | None:
         """Return what to do from a state up to the next action with several outcomes; see `Policy.stretch`."""
         found = (policy.stretch(state) for policy in self.policies)  # an earlier one may have led to where the best one never gets
         return next((plan for plan in found if plan is not None), None)

@@ -1,7 +1,7 @@
 """The proof that a policy reaches the goal, whatever the outcomes, if every outcome comes up sooner or later.
 
 Three conditions are checked on the entries alone, by the meaning of actions for states of which only those facts are known that an
-entry names, and of numbers the ranges that it gives:
+entry names, and of numbers the ranges that it gives; derived facts are those that follow from these, and unknown otherwise:
 
 1. Where an entry fits, its action can be carried out.
 2. Each of its outcomes leads to the goal, or to where some entry fits.
@@ -14,17 +14,19 @@ entries; by the second, whatever happens instead, there is such a way again. How
 from __future__ import annotations
 
 from collections import Counter, defaultdict
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import product
 from math import inf, isnan
-from typing import Final, Protocol, assert_never
+from typing import Final, Protocol
 
 from planner_bridge.model.grounding import dynamic_names, ground_step, modelled_duration
 from planner_bridge.model.problem import Problem
 from planner_bridge.planning.policies.numbers import ANY_NUMBER, PartlyKnown, Range
+from pnm.core.knowledge_base import KnowledgeBase
 from pnm.core.logic.conditions import TOLERANCE, Compare, Computed, Condition, Holds, evaluate, negate, parts_of
-from pnm.core.logic.effects import Effects, ForEach, OneOf, Set, When
+from pnm.core.logic.derived_facts import DerivedFacts
+from pnm.core.logic.effects import Effects, Set, expanded
 from pnm.core.logic.expressions import (
     NOTHING,
     UNKNOWN,
@@ -33,13 +35,11 @@ from pnm.core.logic.expressions import (
     Environment,
     Expression,
     Fluent,
-    State,
     Truth,
     Unknown,
     Value,
     ValueOf,
     bind,
-    choices,
     is_number,
     value_of,
 )
@@ -124,37 +124,47 @@ class _Ranges(PartlyKnown):
         return decisive if decisive in every else UNKNOWN if UNKNOWN in every else is_every
 
 
-def unproved(problem: Problem, rules: Sequence[PolicyRule], initial: State, ends: Mapping[Fluent, Range] = NO_ENDS) -> str:
+def unproved(problem: Problem, rules: Sequence[PolicyRule], initial: KnowledgeBase, ends: Mapping[Fluent, Range] = NO_ENDS) -> str:
     """Return what cannot be proved of the policy in the initial state, with the entry; empty if it reaches the goal.
 
     Args:
         ends: ranges that numbers never leave, which is proved as well.
     """
-    changing, index = dynamic_names(problem), _Index(rules)
+    changing, index, domain = dynamic_names(problem), _Index(rules), problem.domain
+    declared = {**domain.predicates, **domain.functions}
+    always = {fluent: value for fluent, value in initial.facts().items() if fluent[0] not in changing}
+    for name in changing & domain.rules.below:
+        for chosen in product(*(initial.objects(variable.types) for variable in declared[name].parameters)):
+            always[name, *chosen] = UNKNOWN
+
+    def known(facts: Mapping[Fluent, Value | Unknown], numbers: Mapping[Fluent, Range]) -> _Ranges:
+        constant = DerivedFacts(domain.rules, {**always, **facts}, initial.objects) if domain.rules else initial
+        return _Ranges(facts, constant, changing, numbers)
+
     facts = {fluent: bool(initial.value(fluent)) for fluent in index.mentioned}
     mentioned = {*ends, *(fluent for rule in rules for fluent in rule.numbers)}
     numbers = {fluent: (value, value) for fluent in mentioned if is_number(value := initial.value(fluent))}
-    first = _Ranges(facts, initial, changing, numbers)
+    first = known(facts, numbers)
     if evaluate(problem.goal, initial) is not True and (index.least(first) == inf or not all(map(first.is_within, ends.items()))):
         return "there is no entry for the initial state"
     for number, rule in enumerate(rules, 1):
         about = f"entry {number}, {rule.action}({', '.join(rule.arguments)})"
-        duration = modelled_duration(problem.domain.actions[rule.action], rule.arguments, initial)
-        action = ground_step(problem.domain, rule.action, rule.arguments, duration, "", problem.members)
+        duration = modelled_duration(domain.actions[rule.action], rule.arguments, initial)
+        action = ground_step(domain, rule.action, rule.arguments, duration, "", problem.members)
         numbers = dict(rule.numbers)
         for fluent, (least, greatest) in ends.items():
             low, high = numbers.get(fluent, ANY_NUMBER)
             numbers[fluent] = max(low, least), min(high, greatest)
-        state = _Ranges(rule.facts, initial, changing, numbers)
+        state = known(rule.facts, numbers)
         if state.truth(action.precondition) is not True:
             return f"{about}: {action.precondition} need not hold"
-        begun = _after(action.start_effects, state)
+        begun = known(*_after(action.start_effects, state))
         for condition in (action.invariant, action.end_condition):
             if begun.truth(condition) is not True:
                 return f"{about}: {condition} need not hold"
         nearest = inf
         for effects in [way.effects for way in action.outcomes] or [action.end_effects]:
-            after = _after(effects, begun)
+            after = known(*_after(effects, begun))
             if not all(map(after.is_within, ends.items())):
                 return f"{about}: a number may leave its range"
             least = 0.0 if after.truth(problem.goal) is True else index.least(after)
@@ -166,12 +176,14 @@ def unproved(problem: Problem, rules: Sequence[PolicyRule], initial: State, ends
     return ""
 
 
-def _after(effects: Effects, state: _Ranges) -> _Ranges:
+def _after(effects: Effects, state: _Ranges) -> tuple[dict[Fluent, Value | Unknown], dict[Fluent, Range]]:
     """Return what is known after the effects: a change under an unknown condition leaves a fact unknown, unless it was so before."""
     sure: dict[Fluent, set[Value | Unknown]] = defaultdict(set)
     possible: dict[Fluent, set[Value | Unknown]] = defaultdict(set)
     numbers = dict(state.numbers)
-    for effect, env, truth in _changes(effects, state, NOTHING, True):
+    for effect, env, truth in expanded(effects, state, judge=state.truth):
+        if not isinstance(effect, Set):
+            continue
         fluent, value = bind(effect.fluent, env), value_of(effect.value, state, env)
         if effect.operation == "assign" and not is_number(value):
             (sure if truth is True else possible)[fluent].add(value)
@@ -191,26 +203,7 @@ def _after(effects: Effects, state: _Ranges) -> _Ranges:
             after[fluent] = False
         elif sure[fluent] or possible[fluent] != {state.value(fluent)}:
             after[fluent] = UNKNOWN
-    return _Ranges(after, state.constant, state.changing, numbers)
-
-
-def _changes(effects: Effects, state: _Ranges, env: Environment, truth: Truth) -> Iterator[tuple[Set, Environment, Truth]]:
-    """Yield every change that may happen, with whether it does."""
-    for effect in effects:
-        match effect:
-            case Set():
-                yield effect, env, truth
-            case When(condition, inner):
-                holds = state.truth(condition, env)
-                if holds is not False:
-                    yield from _changes(inner, state, env, truth if holds is True else UNKNOWN)
-            case ForEach(variables, inner):
-                for chosen in choices(variables, state, env):
-                    yield from _changes(inner, state, chosen, truth)
-            case OneOf():
-                raise AssertionError("outcomes are looked at one by one")
-            case _:
-                assert_never(effect)
+    return after, numbers
 
 
 class _Index:

@@ -372,7 +372,7 @@ class Search:
         for values in (risk, expected):
             _solve(rows, values)
         for state in component:
-            need = self.task.closed(needs[state])
+            need = self.task.closed(self.task.rules.stored(needs[state], state))
             entry = SettledPart(round(risk[state], 6), expected[state], distance[state], need, len(self.entries), actions[state])
             if not any(entry.need.implies(other.need) for other in self.entries if other[:2] <= entry[:2]):
                 self.entries.append(entry)

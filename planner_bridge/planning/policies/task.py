@@ -1,15 +1,17 @@
 """The task of a policy: facts as bits of a whole number, and ground actions with every way in which they may turn out.
 
-A state is the number whose bits are the facts that are true, those about numbers among them (`numbers`). A durative action counts as one
-step here, its end conditions and end effects after its start effects: policies carry out one action of several outcomes at a time.
+A state is the number whose bits are the facts that are true, those about numbers (`numbers`) and derived ones among them. A durative
+action counts as one step here, its end conditions and end effects after its start effects: policies carry out one action of several
+outcomes at a time.
 """
 
 from __future__ import annotations
 
 from collections import Counter, defaultdict
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
-from functools import cached_property
+from dataclasses import dataclass, field
+from functools import cached_property, reduce
+from operator import or_
 from typing import Final, NamedTuple
 
 from planner_bridge.planning.policies.numbers import AtLeast, Scale
@@ -58,6 +60,75 @@ def places(bits: int) -> Iterator[int]:
         bits ^= low
 
 
+@dataclass(frozen=True, eq=False)
+class GroundRules:
+    """The rules for derived facts, stratum by stratum: a fact, and what is enough for it. What was derived is kept: mutable state."""
+
+    strata: tuple[tuple[tuple[int, PartialState], ...], ...] = ()
+    derived: int = 0
+    """All derived facts."""
+    _kept: dict[PartialState, tuple[dict[int, PartialState], PartialState]] = field(default_factory=dict, repr=False)
+
+    @cached_property
+    def read(self) -> int:
+        """The facts on which derived ones depend."""
+        bodies = [body for rules in self.strata for _, body in rules]
+        return reduce(or_, (body.true | body.false for body in bodies), 0) & ~self.derived
+
+    def closed(self, part: PartialState) -> PartialState:
+        """Return the part with the derived facts that are true in all its states, and those that are false."""
+        if not self.derived:
+            return part
+        more = self._derive(part)[1]
+        return PartialState(part.true & ~self.derived | more.true, part.false & ~self.derived | more.false)
+
+    def state(self, stored: int) -> int:
+        """Return the state with these stored facts."""
+        return self.closed(PartialState(stored, ~stored)).true
+
+    def stored(self, part: PartialState, state: int) -> PartialState:
+        """Return what has to be stored so that the part holds as it does in the state.
+
+        For a derived fact that is true, that is what one of its proofs starts from; for a false one, something that is missing for each.
+        """
+        true, false = part
+        proofs, done = self._derive(PartialState(state, ~state))[0] if (true | false) & self.derived else {}, 0
+        while left := (true | false) & self.derived & ~done:
+            fact = left & -left
+            done |= fact
+            if fact & true:
+                true, false = true | proofs[fact].true, false | proofs[fact].false
+                continue
+            for body in (body for rules in self.strata for head, body in rules if head == fact):
+                missing, present = body.true & ~state, body.false & state
+                if not (missing & false or present & true):
+                    one = (missing | present) & ~self.derived or missing | present
+                    one &= -one
+                    true, false = true | one & present, false | one & missing
+        return PartialState(true & ~self.derived, false & ~self.derived)
+
+    def _derive(self, part: PartialState) -> tuple[dict[int, PartialState], PartialState]:
+        """Return why derived facts are true, each after those from which it follows, and which are true and false."""
+        known = PartialState(part.true & self.read, part.false & self.read)
+        if known not in self._kept:
+            proofs, true, possible = dict[int, PartialState](), known.true, self.read & ~known.false
+            for rules in self.strata:
+                before = None
+                while before != (true, possible):
+                    before = true, possible
+                    for head, body in rules:
+                        if not (head & true or body.true & ~before[0] or body.false & possible):
+                            true |= head
+                            proofs[head] = body
+                        if not (body.true & ~possible or body.false & true):
+                            possible |= head
+            self._kept[known] = proofs, PartialState(true & self.derived, self.derived & ~possible)
+        return self._kept[known]
+
+
+NO_RULES: Final = GroundRules()
+
+
 class Change(NamedTuple):
     """Facts that become true and facts that become false, in states for which the condition holds; what is both is true."""
 
@@ -87,6 +158,7 @@ class PolicyOutcome(NamedTuple):
     changes: tuple[Change, ...]
     counting: tuple[Counting, ...] = ()
     """What it does with numbers; that is among the changes, as facts about these."""
+    rules: GroundRules = NO_RULES
 
     def numbers(self) -> Iterator[tuple[Fluent, PartialState, tuple[Set, ...]]]:
         """Yield what it does with each number under each condition."""
@@ -103,21 +175,23 @@ class PolicyOutcome(NamedTuple):
             if condition.holds(state):
                 add |= adds
                 delete |= deletes
-        return state & ~delete | add
+        return self.rules.state(state & ~delete | add)
 
     def known_after(self, part: PartialState) -> PartialState:
         """Return what is so after it in all states of the part: a change whose condition is not known leaves its facts unknown."""
-        sure, possible = [0, 0], [0, 0]
+        part, sure, possible = self.rules.closed(part), [0, 0], [0, 0]
         for condition, adds, deletes in self.changes:
             if condition.joined(part).is_possible:
                 found = sure if part.implies(condition) else possible
                 found[0], found[1] = found[0] | adds, found[1] | deletes
         true = part.true & ~(sure[1] | possible[1]) | sure[0]
-        return PartialState(true, (part.false | sure[1]) & ~(sure[0] | possible[0]))
+        return self.rules.closed(PartialState(true, (part.false | sure[1]) & ~(sure[0] | possible[0])))
 
     def before(self, after: PartialState, state: int) -> PartialState:
         """Return what has to hold before, with the same changes as in this state, which leads to what has to hold after it."""
         before, add, delete = ANY, 0, 0
+        if (after.true | after.false) & self.rules.derived:
+            after = self.rules.stored(after, self.after(state))
         for change in self.changes:
             if change.condition.holds(state) and (change.condition == ANY or change.add & after.true or change.delete & after.false):
                 before, add, delete = before.joined(change.condition), add | change.add, delete | change.delete
@@ -160,14 +234,15 @@ class PolicyTask:
     """The numbers that actions change."""
     measure: str = "calls"
     """What the costs of actions are."""
+    rules: GroundRules = NO_RULES
 
     def goal_in(self, state: int) -> PartialState | None:
         """Return the part of the goal that holds in the state."""
         return next((part for part in self.goal if part.holds(state)), None)
 
     def named(self, bits: int) -> list[Fluent]:
-        """Return the facts of these bits, without those about numbers."""
-        return [fact for number in places(bits) if not isinstance(fact := self.facts[number], AtLeast)]
+        """Return the stored facts of these bits, without those about numbers."""
+        return [fact for number in places(bits & ~self.rules.derived) if not isinstance(fact := self.facts[number], AtLeast)]
 
     def texts(self, bits: int) -> list[str]:
         """Return the facts of these bits, those about numbers among them, as PDDL has them."""
@@ -211,7 +286,7 @@ class PolicyTask:
         found: dict[tuple[object, ...], int] = defaultdict(int)
         keys: dict[int, list[tuple[object, ...]]] = {}
         for number, fact in enumerate(self.facts):
-            if isinstance(fact, AtLeast):
+            if isinstance(fact, AtLeast) or self.rules.derived >> number & 1:
                 keys[number] = []
                 continue
             name, *arguments = fact

@@ -24,6 +24,7 @@ from pnm.core.logic.expressions import (
     Expression,
     Fluent,
     State,
+    Truth,
     Unknown,
     Value,
     Variable,
@@ -126,6 +127,8 @@ class OneOf:
 Effect: TypeAlias = Set | When | ForEach | OneOf
 Effects: TypeAlias = tuple[Effect, ...]
 Changes: TypeAlias = dict[Fluent, Value | Unknown]
+Judge: TypeAlias = Callable[[Condition, Environment], Truth]
+"""Returns whether a condition holds."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -198,25 +201,28 @@ def choices_in_effects(effects: Effects, count: Count, around: int = 0) -> int:
 
 
 def expanded(
-    effects: Effects, state: State, env: Environment = NOTHING, *, happening: bool = False
-) -> Iterator[tuple[Set | When, Environment]]:
-    """Yield every `Set` and `When` at any depth, once for every choice of objects, with its environment.
+    effects: Effects, state: State, env: Environment = NOTHING, judge: Judge | None = None, truth: Truth = True
+) -> Iterator[tuple[Set | When, Environment, Truth]]:
+    """Yield every `Set` and `When` at any depth, once for every choice of objects, with its environment and whether it happens.
 
-    With `happening`, those under conditions only where these hold in the state; which alternative it is must be decided before.
+    Args:
+        judge: says of conditions whether they hold: what is under others is left out, and which alternative it is must be decided
+            before. By default all hold.
     """
     for effect in effects:
         match effect:
             case Set():
-                yield effect, env
+                yield effect, env, truth
             case When(condition, inner):
-                yield effect, env
-                if not happening or evaluate(condition, state, env) is True:
-                    yield from expanded(inner, state, env, happening=happening)
+                yield effect, env, truth
+                holds = judge is None or judge(condition, env)
+                if holds is not False:
+                    yield from expanded(inner, state, env, judge, truth if holds is True else UNKNOWN)
             case ForEach(variables, inner):
                 for chosen in choices(variables, state, env):
-                    yield from expanded(inner, state, chosen, happening=happening)
+                    yield from expanded(inner, state, chosen, judge, truth)
             case OneOf():
-                assert not happening, f"one of the outcomes happens, and none was chosen: {effect}"
+                assert judge is None, f"one of the outcomes happens, and none was chosen: {effect}"
                 yield from expanded(effect.effects, state, env)
             case _:
                 assert_never(effect)
@@ -253,7 +259,7 @@ def is_early(effect: Effect) -> bool:
 
 def assignments(effects: Effects, state: State, env: Environment = NOTHING) -> Iterator[tuple[Fluent, Set, Environment]]:
     """Yield each `Set` that happens in the state, with its ground fluent and its environment."""
-    return _sets(expanded(effects, state, env, happening=True))
+    return _sets(expanded(effects, state, env, lambda condition, inner: evaluate(condition, state, inner) is True))
 
 
 def possible_assignments(effects: Effects, state: State) -> Iterator[tuple[Fluent, Set, Environment]]:
@@ -261,8 +267,8 @@ def possible_assignments(effects: Effects, state: State) -> Iterator[tuple[Fluen
     return _sets(expanded(effects, state))
 
 
-def _sets(effects: Iterable[tuple[Set | When, Environment]]) -> Iterator[tuple[Fluent, Set, Environment]]:
-    return ((bind(effect.fluent, env), effect, env) for effect, env in effects if isinstance(effect, Set))
+def _sets(effects: Iterable[tuple[Set | When, Environment, Truth]]) -> Iterator[tuple[Fluent, Set, Environment]]:
+    return ((bind(effect.fluent, env), effect, env) for effect, env, _ in effects if isinstance(effect, Set))
 
 
 def written(effects: Effects, state: State) -> frozenset[Fluent]:
@@ -282,7 +288,7 @@ def read(effects: Effects, state: State) -> frozenset[Fluent]:
     if constants(effects) is not None:
         return frozenset()
     reads: set[Fluent] = set()
-    for effect, env in expanded(effects, state):
+    for effect, env, _ in expanded(effects, state):
         match effect:
             case Set(fluent, value, operation):
                 reads.update(expression_fluents(value, env))
@@ -300,7 +306,7 @@ def read_early(effects: Effects, state: State) -> frozenset[Fluent]:
     """Return every fluent that end effects read when the action starts: in their early conditions."""
     if all(isinstance(effect, Set) for effect in effects):
         return frozenset()
-    early = ((effect.condition, env) for effect, env in expanded(effects, state) if isinstance(effect, When) and effect.early)
+    early = ((effect.condition, env) for effect, env, _ in expanded(effects, state) if isinstance(effect, When) and effect.early)
     return frozenset(fluent for condition, env in early for fluent in fluents(condition, state, env))
 
 

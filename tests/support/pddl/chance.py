@@ -19,24 +19,29 @@ State = frozenset[tuple[Fluent, Value | Unknown]]
 
 DOMAIN = """
 (define (domain chance)
-  (:requirements :adl :non-deterministic :probabilistic-effects :numeric-fluents)
+  (:requirements :adl :derived-predicates :non-deterministic :probabilistic-effects :numeric-fluents)
   (:types thing)
-  (:predicates (p ?x - thing) (q ?x - thing) (r ?x - thing))
+  (:predicates (p ?x - thing) (q ?x - thing) (r ?x - thing) (d ?x - thing) (e ?x - thing))
   (:functions (n) (m))
-  {actions})
+  {rules}{actions})
 """
 PROBLEM = "(define (problem p) (:domain chance) (:objects a b - thing) (:init (= (n) 2) (= (m) 1) {init}) (:goal (and {goal})))"
 
+RULES = """(:derived (d ?x - thing) (or {0} (exists (?y - thing) (and (d ?y) {1}))))
+  (:derived (e ?x - thing) (or (and (not (d ?x)) {2}) (forall (?y - thing) (imply {3} (d ?y)))))
+  """
+"""Of which the first one leads from one fact to the next, and the other one asks that none does."""
 FACTS = [f"({name} {thing})" for name in "pqr" for thing in "ab"]
 
 
-def texts(seed: int, *, counts: bool = False) -> tuple[str, str]:
+def texts(seed: int, *, counts: bool = False, derives: bool = False) -> tuple[str, str]:
     """Return the texts of a random domain and problem with six facts, the goal of which does not hold at first.
 
     Args:
         counts: with two numbers that actions change, from 0 to 4.
+        derives: with derived facts, on which actions and the goal depend.
     """
-    random = Random(seed)
+    random, read = Random(seed), "pqrdde" if derives else "pqr"
 
     def count() -> tuple[str, str]:
         """Return an effect on a number, and what it needs."""
@@ -50,8 +55,8 @@ def texts(seed: int, *, counts: bool = False) -> tuple[str, str]:
             )
         )
 
-    def literal(*terms: str, true: float = 0.5) -> str:
-        fact = f"({random.choice('pqr')} {random.choice(terms)})"
+    def literal(*terms: str, true: float = 0.5, names: str = "pqr") -> str:
+        fact = f"({random.choice(names)} {random.choice(terms)})"
         return fact if random.random() < true else f"(not {fact})"
 
     def simple(*terms: str) -> str:
@@ -61,8 +66,8 @@ def texts(seed: int, *, counts: bool = False) -> tuple[str, str]:
         if counts and kind < 0.8:
             return f"(when (> ({random.choice('nm')}) {random.randint(0, 3)}) {literal(*terms, true=0.6)})"
         if kind < 0.9:
-            return f"(when {literal(*terms)} {literal(*terms, true=0.6)})"
-        return f"(forall (?y - thing) (when {literal('?y')} {literal('?y', *terms)}))"
+            return f"(when {literal(*terms, names=read)} {literal(*terms, true=0.6)})"
+        return f"(forall (?y - thing) (when {literal('?y', names=read)} {literal('?y', *terms)}))"
 
     def effect(*terms: str) -> str:
         kind = random.random()
@@ -73,14 +78,14 @@ def texts(seed: int, *, counts: bool = False) -> tuple[str, str]:
             return f"(oneof {' '.join(ways)})"
         if kind < 0.9:
             return f"(probabilistic {' '.join(f'0.{number} {way}' for number, way in enumerate(ways, 2))})"
-        return f"(when {literal(*terms)} (oneof {' '.join(ways)}))"
+        return f"(when {literal(*terms, names=read)} (oneof {' '.join(ways)}))"
 
     actions = []
     for number in range(random.randint(3, 7)):
         terms = ("?x", "?x", "a", "b") if random.random() < 0.5 else ("a", "b")
-        needed = [literal(*terms) for _ in range(random.choice((0, 1, 1, 2, 2)))]
+        needed = [literal(*terms, names=read) for _ in range(random.choice((0, 1, 1, 2, 2)))]
         if random.random() < 0.2:
-            needed.append(f"(or {literal(*terms)} {literal(*terms)})")
+            needed.append(f"(or {literal(*terms, names=read)} {literal(*terms, names=read)})")
         effects = " ".join(effect(*terms) for _ in range(random.choice((1, 1, 2))))
         if counts and random.random() < 0.7:
             change, need = count()
@@ -92,7 +97,12 @@ def texts(seed: int, *, counts: bool = False) -> tuple[str, str]:
     init = [fact for fact in FACTS if fact not in goal and random.random() < 0.5]
     if counts and random.random() < 0.3:
         goal.append(f"({random.choice(('>=', '<', '='))} (n) {random.randint(1, 4)})")
-    return DOMAIN.format(actions="\n  ".join(actions)), PROBLEM.format(init=" ".join(init), goal=" ".join(goal))
+    rules = ""
+    if derives:
+        rules = RULES.format(*(literal("?x"), f"{literal('?x')} {literal('?y')}", literal("?x"), literal("?y")))
+        goal = [*goal[:1], *(f"({random.choice('de')} {random.choice('ab')})" for _ in range(random.choice((0, 1, 1))))]
+        goal += [f"(not (d {random.choice('ab')}))"] * (random.random() < 0.3)
+    return DOMAIN.format(rules=rules, actions="\n  ".join(actions)), PROBLEM.format(init=" ".join(init), goal=" ".join(goal))
 
 
 @dataclass(frozen=True)
@@ -103,7 +113,7 @@ class Exact:
 
     def knowledge(self, state: State) -> KnowledgeBase:
         """Return the state as knowledge."""
-        return KnowledgeBase(dict(state), objects=self.problem.objects_by_type)
+        return KnowledgeBase(dict(state), objects=self.problem.objects_by_type, rules=self.problem.domain.rules)
 
     @cached_property
     def initial(self) -> State:

@@ -106,15 +106,13 @@ def test_a_plan_comes_with_its_policy() -> None:
 
 
 def test_what_policies_do_not_know_is_said_and_planned_as_if_one_could_choose() -> None:
-    domain = TIRES.replace("(:action drive", "(:derived (here ?p - place) (car ?p)) (:action drive").replace(
-        ":typing", ":derived-predicates :typing"
-    )
-    text = "(define (problem p) (:domain tires) (:objects a z - place) (:init (car a) (road a z)) (:goal (here z)))"
-    result = solve(parse_problem(text, parse_domain(domain.replace("(flat))", "(flat) (here ?p - place))", 1))))
+    domain = TIRES.replace("(flat))", "(flat)) (:constraints (sometime (car b)))", 1).replace(":typing", ":constraints :typing")
+    text = "(define (problem p) (:domain tires) (:objects a b z - place) (:init (car a) (road a b) (road b z)) (:goal (car z)))"
+    result = solve(parse_problem(text, parse_domain(domain)))
     assert result.policy is None
-    assert result.message == "no policy is looked for: the problem has derived facts"
+    assert result.message == "no policy is looked for: the problem has constraints"
     assert result.plan is not None
-    assert len(result.plan.steps) == 1
+    assert len(result.plan.steps) == 2
 
 
 STAIRS = """
