@@ -46,6 +46,7 @@ from pnm.core.logic.expressions import (
     Constant,
     Environment,
     Fluent,
+    Truth,
     ValueOf,
     bind,
     choices,
@@ -112,6 +113,10 @@ class _Grounding:
         self.scales: dict[Fluent, Scale] = {}
         """Of numbers, once their values are known; until then, comparisons with these may be true or false."""
         self.compared: dict[Fluent, dict[Compare, None]] = defaultdict(dict)
+        self.truths: dict[Compare, list[Truth]] = {}
+        """Of comparisons, for each value of their number."""
+        self.shifts: dict[tuple[Fluent, tuple[Set, ...]], list[tuple[tuple[int, int], int, int]] | None] = {}
+        """What effects on numbers do with the facts about these; None if it is not in order."""
         self.of_types = {
             variable.types: frozenset(self.state.objects(variable.types))
             for schema in problem.domain.actions.values()
@@ -170,8 +175,9 @@ class _Grounding:
         self.compared[fluent][condition] = None
         if (scale := self.scales.get(fluent)) is None:
             return (ANY,)
-        truths = [evaluate(condition, self.known(fluent, value)) is truth for value in scale.values]
-        return tuple(PartialState(*run) for run in scale.runs(truths))
+        if condition not in self.truths:
+            self.truths[condition] = [evaluate(condition, self.known(fluent, value)) for value in scale.values]
+        return tuple(PartialState(*run) for run in scale.runs([one is truth for one in self.truths[condition]]))
 
     def levels(self, outcome: PolicyOutcome) -> Iterator[Change]:
         """Yield what an outcome does with numbers, as changes of the facts about these."""
@@ -179,11 +185,14 @@ class _Grounding:
         for fluent, condition, effects in outcome.numbers():
             if (scale := self.scales.get(fluent)) is None:
                 continue
-            after = [self.after(fluent, effects, value) for value in scale.values]
-            if any(condition.joined(other).is_possible for other in seen[fluent]) or after != sorted(after):
+            if (fluent, effects) not in self.shifts:
+                after = [self.after(fluent, effects, value) for value in scale.values]
+                self.shifts[fluent, effects] = [*scale.changes(after)] if after == sorted(after) else None
+            shifts = self.shifts[fluent, effects]
+            if shifts is None or any(condition.joined(other).is_possible for other in seen[fluent]):
                 raise Unsuitable(f"no policy is looked for: what is done with {fluent_text(fluent)} depends on several things")
             seen[fluent].append(condition)
-            for before, add, delete in scale.changes(after):
+            for before, add, delete in shifts:
                 yield Change(condition.joined(PartialState(*before)), add, delete)
 
     def scale(self, actions: Iterable[PolicyAction]) -> None:
