@@ -12,7 +12,7 @@ from collections import defaultdict
 from collections.abc import Iterable
 from typing import Final
 
-from planner_bridge.planning.policies.task import ANY, PartialState, PolicyAction, PolicyTask, places
+from planner_bridge.planning.policies.task import ANY, Change, PartialState, PolicyAction, PolicyTask, places
 
 _ALWAYS: Final = 0
 _GOAL: Final = 1
@@ -42,12 +42,25 @@ class DeadStates:
         self._rules_of: dict[PolicyAction, list[int]] = defaultdict(list)
         self._leading: dict[tuple[int, bool], list[tuple[PartialState, int, int, int, PolicyAction]]] = defaultdict(list)
         """For every fact that becomes true, or false, how: under this condition, with other facts that it excludes, by these changes."""
+        levels = sum(scale.mask for scale in task.scales)
+        counted: dict[tuple[Change, ...], int] = {}
+        """What actions do with numbers, once for all that do the same, with the literal that some of them can be used."""
         for action in task.actions:
             changes: dict[PartialState, tuple[int, int]] = {}
             for change in (change for outcome in action.outcomes for change in outcome.changes):
                 add, delete = changes.get(change.condition, (0, 0))
                 changes[change.condition] = add | change.add, delete | change.delete
+            numbers = tuple(
+                Change(condition, add & levels, delete & levels) for condition, (add, delete) in changes.items() if (add | delete) & levels
+            )
+            if numbers and numbers not in counted:
+                counted[numbers] = self._literal()
+                for condition, add, delete in numbers:
+                    self._rule([counted[numbers], *_literals(condition)], _literals(PartialState(add, delete)))
             for part in action.conditions:
+                if numbers:
+                    self._rules_of[action].append(len(self._needs))
+                    self._rule(_literals(part), [counted[numbers]])
                 excluded = self.task.excluded(part.true)
                 for outcome in action.outcomes:
                     if [change.condition for change in outcome.changes] == [ANY]:
@@ -56,8 +69,9 @@ class DeadStates:
                         for place in places(add | delete):
                             self._leading[place, not add >> place & 1].append(way)
                 for condition, (add, delete) in changes.items():
-                    self._rules_of[action].append(len(self._needs))
-                    self._rule(_literals(part.joined(condition)), _literals(PartialState(add, delete)))
+                    if (add | delete) & ~levels:
+                        self._rules_of[action].append(len(self._needs))
+                        self._rule(_literals(part.joined(condition)), _literals(PartialState(add & ~levels, delete & ~levels)))
         for part in task.goal:
             self._rule(_literals(part), [_GOAL])
         for fact, part in (rule for rules in task.rules.strata for rule in rules):
@@ -69,6 +83,13 @@ class DeadStates:
         """The facts on which anything depends."""
         for part in (*read, *task.goal):
             self.read |= part.true | part.false
+
+    def _literal(self) -> int:
+        """Return a new literal."""
+        self._count += 1
+        self._needed_by.append([])
+        self._made_by.append([])
+        return self._count - 1
 
     def _rule(self, needs: list[int], makes: Iterable[int]) -> None:
         number = len(self._needs)
@@ -178,10 +199,7 @@ class DeadStates:
         if any(part.implies(other) for other in known):
             return
         self.forbidden[action] = [other for other in known if not other.implies(part)] + [part]
-        escape = self._count
-        self._count += 1
-        self._needed_by.append([])
-        self._made_by.append([])
+        escape = self._literal()
         for literal in _literals(PartialState(part.false, part.true)):
             self._rule([literal], [escape])
         for rule in self._rules_of[action]:
