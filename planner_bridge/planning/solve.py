@@ -40,6 +40,8 @@ if TYPE_CHECKING:
 
 PORTFOLIO: Final = "race"
 """The planner's name for a portfolio of what is installed; ``race:kairos,aries`` names its members."""
+_FOR_POLICIES: Final = 0.8
+"""Part of the time for a policy; in the rest, a plan is looked for as if outcomes could be chosen."""
 _LONGEST: Final = 1e9
 """Seconds that a search may take: the clocks of planners overflow with far more."""
 _PORTFOLIO_OF: Final = f"{PORTFOLIO}:"
@@ -103,9 +105,11 @@ def solve(
             seconds = rates.expected if rates is not None and (problem.is_timed or rates.are_measure(problem)) else None
             try:
                 thinking = Thinking(problem, timeout, cancel, seconds)
-                policy = thinking.wait(timeout, improve)
+                policy = thinking.wait(began + _FOR_POLICIES * timeout - time.monotonic(), improve)
                 if policy is not None and (plan := policy.plan(initial_knowledge(problem))) is not None:
                     return PlanningResult(PlanningStatus.SOLVED, plan, planner=planner, policy=thinking)
+                del thinking  # which ends its search
+                note = "no policy was found in time"
             except Unsuitable as unsuitable:
                 note = str(unsuitable)
             timeout = max(0.0, timeout - (time.monotonic() - began))

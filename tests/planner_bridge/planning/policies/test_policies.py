@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import time
+from collections.abc import Iterator
 from itertools import pairwise
 
 import pytest
 from hypothesis import given, settings, strategies as st
 
 from planner_bridge.model.grounding import initial_knowledge
+from planner_bridge.model.plan import CancelToken
 from planner_bridge.model.problem import Problem
 from planner_bridge.pddl.reader import parse_domain, parse_problem
 from planner_bridge.planning.policies.chance import Envelope
@@ -111,6 +114,19 @@ def test_what_policies_do_not_know_is_said_and_planned_as_if_one_could_choose() 
     result = solve(parse_problem(text, parse_domain(domain)))
     assert result.policy is None
     assert result.message == "no policy is looked for: the problem has constraints"
+    assert result.plan is not None
+    assert len(result.plan.steps) == 2
+
+
+def test_where_no_policy_is_found_in_time_there_is_a_plan(monkeypatch: pytest.MonkeyPatch) -> None:
+    def never(problem: Problem, timeout: float, cancel: CancelToken, *_: object) -> Iterator[Policy]:
+        while not cancel.is_set():
+            time.sleep(0.01)
+        yield from ()
+
+    monkeypatch.setattr("planner_bridge.planning.policies.policy.policies", never)
+    result = solve(tires(), timeout=2.0)
+    assert (result.policy, result.message) == (None, "no policy was found in time")
     assert result.plan is not None
     assert len(result.plan.steps) == 2
 
