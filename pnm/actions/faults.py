@@ -128,11 +128,14 @@ def _fault(entry: Mapped, known: Vocabulary | None) -> Fault:
         raise InputError("expected either 'do' or 'outcome'", entry.start)
     if outcome is None and failure not in kinds:
         raise InputError(f"expected 'do' to be one of {', '.join(kinds)}; found {failure!r}", entry.position("do"))
+    what = _call(action or ground_name(call or ""), entry.position("action" if action else "call"), known)
+    if known is not None and outcome is not None:
+        known.check_outcome(what.partition("(")[0], outcome, entry.position("outcome"))
     chance = entry.number("chance", 1.0)
     if chance > 1.0:
         raise InputError(f"expected a share from 0 to 1 as 'chance', found {chance:g}", entry.position("chance"))
     return Fault(
-        what=_call(action or ground_name(call or ""), entry.position("action" if action else "call"), known),
+        what=what,
         kind=None if failure is None else FaultKind(failure),
         after=entry.whole("after", 0),
         times=entry.whole("times", None),

@@ -1,7 +1,9 @@
 """Simulated robots whose actions have several outcomes: which one comes about, what it changes, and how the robot tells it."""
 
+import re
 from asyncio import get_running_loop
 from collections import Counter
+from dataclasses import replace
 from uuid import uuid4
 
 import pytest
@@ -15,6 +17,7 @@ from pnm.clock import run_async
 from pnm.core.machine.bindings import Binding, Bindings
 from pnm.core.machine.requests import Ended, Outcome, OutcomeKind, Request
 from pnm.core.message_fields import Comparison, parse_field
+from pnm.errors import InputError
 from tests.support.files import written
 
 PROBLEM = parse_problem(
@@ -78,6 +81,21 @@ def test_a_faults_file_says_which_outcome_it_is(tmp_path):
     found = performed(*["pick"] * 30, faults=faults)
     assert [outcome.result["outcome"] for outcome, _ in found][1:3] == ["2", "2"]
     assert len({outcome.result["outcome"] for outcome, _ in found}) == 3
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        ("action: pick", ":1:34: there is no outcome 'sliped' in the domain; did you mean 'slipped'?"),
+        ("call: pick()", ":1:34: there is no outcome 'sliped' in the domain; did you mean 'slipped'?"),
+        ("action: wait", ":1:34: wait can turn out in one way only, so there is no outcome 'sliped'"),
+    ],
+)
+def test_a_faults_file_names_outcomes_that_there_are(tmp_path, call, message):
+    file = written(tmp_path / "faults.yaml", f"faults: [{{{call}, outcome: sliped}}]")
+    known = replace(PROBLEM.vocabulary, outcomes={"pick": ("held", "slipped")})
+    with pytest.raises(InputError, match=re.escape(f"{file}{message}")):
+        read_faults(file, known)
 
 
 @pytest.mark.parametrize("action", ["pick", "wait"])
