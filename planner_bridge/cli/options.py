@@ -276,10 +276,6 @@ class Planned(NamedTuple):
     learned: Rates | None
 
 
-_BOUND: Final = 0.5
-"""Seconds to find out how far from the best a plan is that people look at."""
-
-
 def planned(
     files: tuple[Path, Path],
     bindings: Path | None,
@@ -293,20 +289,18 @@ def planned(
     """Read a problem, and what there is about its robots, and search for a plan.
 
     Args:
-        is_looked_at: whether the plan is for people alone, who get it soon unless they ask for a better one.
+        is_looked_at: whether the plan is for people alone; see `solve`.
     """
-    from planner_bridge.planning.kairos import GLANCE  # here, because most commands search for no plan
-    from planner_bridge.planning.solve import solve
+    from planner_bridge.planning.solve import solve  # here, because most commands search for no plan
 
     domain, problem = files
     loaded = problem_in(domain, problem)
     bound = bindings_for(domain, bindings, loaded.vocabulary) if bindings or beside(domain, BINDINGS) else None
-    is_glance = improve is None and is_looked_at and bool(loaded.is_timed or loaded.metric)
-    seconds = _BOUND if is_looked_at and not is_glance else 0.0
     with searching(planner, timeout):
         learned = rates_for(domain, rates) if rates or beside(domain, RATES) else None
-        improve = GLANCE if is_glance else improve
-        result = solve(loaded, planner=planner, timeout=timeout, improve=improve, bindings=bound, learned=learned, bound=seconds)
+        result = solve(
+            loaded, planner=planner, timeout=timeout, improve=improve, bindings=bound, learned=learned, is_looked_at=is_looked_at
+        )
     return Planned(loaded, result, bound, learned)
 
 

@@ -29,7 +29,7 @@ from planner_bridge.pddl import parse_domain, parse_problem
 from planner_bridge.pddl.writer import write_domain, write_problem
 from planner_bridge.planning.engines import ENGINES, START_LIMIT, Feature, problem_kind, require_installed
 from planner_bridge.planning.kairos import DEFAULT_PLANNER, search
-from planner_bridge.planning.validate import validated
+from planner_bridge.planning.validate import explained, validated
 from pnm.errors import InputError, suggestion
 from pnm.files.process import forget_safe_path, safe_path
 
@@ -156,7 +156,7 @@ def _first_decisive(
             except Exception as error:  # whatever befell the planner or the process it ran in
                 answer = PlanningResult(PlanningStatus.CRASHED, message=f"{type(error).__name__}: {error}")
             # A plan is validated here even if the worker trusts it: the first *valid* plan wins, not the first.
-            result = validated(problem, replace(answer, planner=searches[future]))
+            result = explained(problem, validated(problem, replace(answer, planner=searches[future])))
             # A proof that there is no plan is as decisive as a plan; `NO_PLAN` only means that one planner found none.
             if result.plan is not None or result.status is PlanningStatus.UNSOLVABLE:
                 return replace(result, message="; ".join(filter(None, (*map(_reason, failed), result.message))))

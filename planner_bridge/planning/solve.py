@@ -19,7 +19,7 @@ from planner_bridge.model.plan import CancelToken, Plan, PlanningResult, Plannin
 from planner_bridge.model.problem import TOTAL_TIME, Problem
 from planner_bridge.model.progression import Happening, NotApplicable, Progression, Stage, calls_of, happenings, refuse, snapshot
 from planner_bridge.ordering.plan_to_graph import plan_graph
-from planner_bridge.planning.kairos import AT_WORK, DEFAULT_PLANNER, LONGEST, SHARE, parse_for_kairos, search, validate
+from planner_bridge.planning.kairos import AT_WORK, DEFAULT_PLANNER, GLANCE, LONGEST, SHARE, parse_for_kairos, search, validate
 from planner_bridge.planning.parts import can_have_parts
 from planner_bridge.planning.validate import InvalidPlan, explained, last_state, validated
 from pnm.core.knowledge_base import KnowledgeBase
@@ -45,6 +45,8 @@ _FOR_POLICIES: Final = 0.8
 _LONGEST: Final = 1e9
 """Seconds that a search may take: the clocks of planners overflow with far more."""
 _PORTFOLIO_OF: Final = f"{PORTFOLIO}:"
+_BOUND: Final = 0.5
+"""Seconds to find out how far from the best a plan is that people look at."""
 
 
 def solve(
@@ -58,7 +60,7 @@ def solve(
     bindings: Bindings | None = None,
     learned: Rates | None = None,
     known: Plan | None = None,
-    bound: float = 0.0,
+    is_looked_at: bool = False,
 ) -> PlanningResult:
     """Search for a plan, validate it, and leave out what it does not need, at most `timeout` seconds.
 
@@ -74,8 +76,8 @@ def solve(
         bindings: say how long actions take, where the domain does not, and which resources they need for themselves.
         learned: say how long they take, and how often they succeed, by what has happened.
         known: a plan that robots carry out meanwhile: Kairos looks for a better one alone, and for longer.
-        bound: seconds to look for a lower bound, which says how far the plan is from the best, and when there is no need to look for
-            a better one.
+        is_looked_at: whether the plan is for people alone. Unless they say how long it may be improved, they get plans with times or a
+            metric at once; of others a lower bound says how far they are from the best, and when there is no need to look for a better one.
 
     Raises:
         InputError: the planner refuses the problem, is not known, or is not installed.
@@ -83,6 +85,9 @@ def solve(
     check_kinds("solve", {"problem": (problem, Problem), "planner": (planner, str)})
     check_seconds("the search for a plan", timeout)
     check_seconds("the search for a better plan", improve)
+    bound = _BOUND if is_looked_at else 0.0
+    if is_looked_at and improve is None and (problem.is_timed or problem.metric):
+        improve, bound = GLANCE, 0.0
     rates = None
     if bindings or learned:
         from planner_bridge.model.rates import NO_RATES  # here, because most problems are about no robot that is known
@@ -114,17 +119,25 @@ def solve(
                 note = str(unsuitable)
             timeout = max(0.0, timeout - (time.monotonic() - began))
         each = determinization(problem)
-        found = solve(
-            each.problem,
-            planner=planner,
-            timeout=timeout,
-            improve=improve,
-            cancel=cancel,
-            executor=executor,
-            bindings=bindings and each.bindings(bindings),
-            learned=learned and each.rates(learned),
-        )
+        if rates is not None:
+            rates = replace(rates, bindings=each.bindings(rates.bindings), learned=each.rates(rates.learned))
+        found = _searched(each.problem, planner, timeout, improve, cancel, executor, rates)
         return explained(problem, found) if found.plan is None else replace(found, plan=each.plan(found.plan), message=note)
+    return explained(problem, _searched(problem, planner, timeout, improve, cancel, executor, rates, known, bound))
+
+
+def _searched(
+    problem: Problem,
+    planner: str,
+    timeout: float,
+    improve: float | None,
+    cancel: CancelToken | None,
+    executor: Executor | None,
+    rates: ExpectedTimes | None,
+    known: Plan | None = None,
+    bound: float = 0.0,
+) -> PlanningResult:
+    """Return what is found for a problem whose actions have one outcome each, with the planner's own reason if that is no plan."""
     asked = problem
     if rates is not None:
         from planner_bridge.model.exclusive_resources import with_turns  # here, as above

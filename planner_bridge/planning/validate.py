@@ -239,7 +239,7 @@ def _kind_of_change(operation: str, value: Expression) -> str:
 def validated(problem: Problem, result: PlanningResult, parsed: kairos.Problem | None = None) -> PlanningResult:
     """Return the result if both validators accept its plan; else one without a plan, but a reason. `parsed` is the problem for Kairos."""
     if result.plan is None:
-        return explained(problem, result)
+        return result
     verdicts = {"Kairos' validator": validate(problem, result.plan, parsed), "our own": why_invalid(problem, result.plan)}
     if not any(verdicts.values()):
         is_best = result.plan.is_best and not problem.unknown and calculates_with_whole_numbers(in_whole_numbers(problem))
@@ -250,7 +250,7 @@ def validated(problem: Problem, result: PlanningResult, parsed: kairos.Problem |
 
 
 def explained(problem: Problem, result: PlanningResult) -> PlanningResult:
-    """Return a result without a plan with our own reason, if any; without one only whole numbers and known facts prove anything."""
+    """Return a result; if no plan was found, with our own reason, if any; without one only whole numbers and known facts prove anything."""
     if result.status not in (PlanningStatus.UNSOLVABLE, PlanningStatus.NO_PLAN):
         return result
     from planner_bridge.planning.reachability import why_unknown, why_unreachable  # here, because most searches find a plan

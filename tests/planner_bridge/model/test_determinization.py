@@ -15,6 +15,7 @@ from planner_bridge.model.plan import Plan, PlanningStatus, PlanStep
 from planner_bridge.model.problem import Problem
 from planner_bridge.ordering.plan_to_graph import plan_graph
 from planner_bridge.pddl import parse_domain, parse_problem, write_domain, write_problem
+from planner_bridge.planning import reachability
 from planner_bridge.planning.solve import solve
 from planner_bridge.planning.validate import why_invalid
 from pnm.core.logic.effects import effects_text
@@ -33,6 +34,16 @@ DOMAIN = """(define (domain d) (:requirements :adl :non-deterministic) (:types t
 
 def problem(goal: str, domain: str = DOMAIN) -> Problem:
     return parse_problem(f"(define (problem one) (:domain d) (:objects a b - t) (:goal {goal}))", parse_domain(domain))
+
+
+def test_that_there_is_no_plan_is_explained_once_and_with_the_actions_of_the_domain(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked, ask = list[Problem](), reachability.why_unreachable
+    monkeypatch.setattr(reachability, "why_unreachable", lambda one: asked.append(one) or ask(one))
+    closed = problem("(p b)", DOMAIN.replace(":effect (and (r)", ":precondition (p ?x) :effect (and (r)"))
+    result = solve(closed)
+    assert result.status is PlanningStatus.UNSOLVABLE
+    assert "try(" in result.message
+    assert asked == [closed]
 
 
 def test_every_outcome_that_changes_something_is_an_action() -> None:

@@ -113,7 +113,7 @@ def test_a_plan_that_is_as_good_as_the_bound_is_the_best_and_is_not_improved() -
     corridor = rooms(init="(at r1 a)", goal=f"(and {many})", ways="ab ba bc cb cd dc de ed ef fe fg gf gh hg")
     two = Bindings({name: Binding(seconds=3.0, resources=("{r}",)) for name in ("move", "sweep")})
     for bindings, value in ((None, 14.0), (two, 42.0)):
-        found = solve(corridor, bindings=bindings, improve=60.0, bound=10.0, timeout=70.0).plan
+        found = solve(corridor, bindings=bindings, improve=60.0, is_looked_at=True, timeout=70.0).plan
         assert found is not None
         assert (found.value, found.is_best, found.above) == (value, True, 0.0)
 
