@@ -19,7 +19,7 @@ from uuid import UUID
 
 from planner_bridge.model.progression import snapshot
 from planner_bridge.tasks.replanning import Decision, decision_words
-from planner_bridge.tasks.result import TASKS, GoalNote, TaskCounts
+from planner_bridge.tasks.result import TASKS, GoalNote, PolicyNote, TaskCounts
 from pnm.clock import TimeUsed
 from pnm.core.execution.call_results import Became, CallResult, Explanation, Hindered, Sent, action_with, sent_with
 from pnm.core.execution.events import Begin
@@ -237,6 +237,8 @@ class TaskHistory:
     """Why it is in this state, if that was said."""
     decision: Decision | None = None
     """The decision after the last run; None while it goes on."""
+    policy: PolicyNote | None = None
+    """What the last plan is the beginning of, if actions have several outcomes."""
     plans: int = 0
     """The number of plans that a planner has found."""
     helps: dict[UUID | None, Help] = field(default_factory=dict)
@@ -491,6 +493,8 @@ class JournalHistory:
                         last.replan, last.is_decided = replace(last.replan, why=decision_words(decision)), True
                     else:
                         task.decision = decision
+            case PolicyNote():
+                task.policy = note
             case HelpAsked(request=request):
                 task.helps[request] = Help(note, self.time)
             case HelpEnded(request=request):

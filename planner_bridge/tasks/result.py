@@ -5,18 +5,18 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import zip_longest
 from math import isfinite
 from typing import Any, ClassVar, Final, Literal, TypeAlias, TypeVar
 
-from planner_bridge.model import forbidden_actions
+from planner_bridge.model import forbidden_actions, problem
 from planner_bridge.model.plan import PlanningStatus, Policy
 from planner_bridge.model.problem import Problem
 from planner_bridge.tasks import replanning
 from planner_bridge.tasks.replanning import BetterRest, Decision, Foreseen, GiveUp, History, NextStretch, PlanAgain, ResumePlan
 from pnm.core.execution.call_results import CallResult, Failure, RunResult
-from pnm.core.logic import trajectory
+from pnm.core.logic import domain, trajectory
 from pnm.core.logic.trajectory import Constraint, ConstraintProgress
 from pnm.core.machine.failure_causes import FailureKind
 from pnm.core.machine.machine import PetriNetMachine
@@ -332,13 +332,18 @@ class GoalNote:
 
 @dataclass(frozen=True, slots=True)
 class PolicyNote:
-    """The policy that the last plan is the beginning of; without entries if there is none."""
+    """The policy that the last plan is the beginning of; without entries if there is none.
+
+    Args:
+        problem: that it is for, without its initial state; None in older journals.
+    """
 
     is_whole: ClassVar = True
     """The last one says all."""
     entries: tuple[tuple[Any, ...], ...] = ()
     chance: float = 1.0
     is_proved: bool = False
+    problem: Problem | None = None
 
     def __str__(self) -> str:
         return f"noted a policy for {counted(len(self.entries), 'kind')} of states"
@@ -346,7 +351,10 @@ class PolicyNote:
     @staticmethod
     def of(policy: Policy | None) -> PolicyNote:
         """Return the note of a policy."""
-        return PolicyNote(tuple(map(tuple, policy.entries)), policy.chance, policy.is_proved) if policy else PolicyNote()
+        if policy is None:
+            return PolicyNote()
+        problem = replace(policy.problem, init={}, unknown=frozenset())
+        return PolicyNote(tuple(map(tuple, policy.entries)), policy.chance, policy.is_proved, problem)
 
     def policy(self, problem: Problem) -> Policy | None:
         """Return the policy for a problem."""
@@ -377,7 +385,7 @@ class TrajectoryNote:
 
 
 _NOTES: Final = (GoalNote, PolicyNote, TrajectoryNote, Violation, HelpAsked, HelpEnded)
-TASKS: Final = RECORDS.including((*_NOTES, *value_classes(replanning, forbidden_actions, trajectory)))
+TASKS: Final = RECORDS.including((*_NOTES, *value_classes(replanning, forbidden_actions, trajectory, problem, domain)))
 """The codec of the journal of tasks."""
 
 

@@ -19,6 +19,7 @@ from typing import Any, Final, TypeAlias
 from uuid import UUID
 
 from planner_bridge.explanations.history import Attempt, JournalHistory, RunHistory, TaskHistory, Trouble
+from planner_bridge.model.grounding import problem_now
 from planner_bridge.pipeline.odds import NOTHING_KNOWN, KnownRobots
 from planner_bridge.pipeline.policy_odds import RestOfPlan
 from planner_bridge.tasks.replanning import decision_words
@@ -125,14 +126,16 @@ class Story(JournalHistory):
         run = task.own_runs[-1] if self._robots and task.ending is None and task.own_runs else None
         if run is None or run.is_over:
             return None
-        rest = RestOfPlan.of(run.executed().run, run.time)
+        rest, note = RestOfPlan.of(run.executed().run, run.time), task.policy
+        problem = note.problem if note and run.record else None  # else nobody knows any more what was so when it was made
 
         def told() -> Thing:
-            odds = rest.odds(self._robots)
+            policy, began = (note.policy(problem), problem_now(problem, run.state)) if note and problem else (None, None)
+            odds = rest.odds(self._robots, policy, began)
             told = odds.told if odds else None
             return {"at": rest.now, "words": percent(told.chance), **told.as_json()} if told else {}
 
-        return self.once(f"odds of {run.id.hex}", rest, told) or None
+        return self.once(f"odds of {run.id.hex}", (rest, note), told) or None
 
     def _mark(self, record: records.Record) -> str:
         """Return the mark of a record for going through them."""

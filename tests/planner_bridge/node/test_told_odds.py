@@ -2,30 +2,17 @@
 
 from __future__ import annotations
 
-from random import Random
 from uuid import UUID
 
 import pytest
 
 from planner_bridge.node.spare_time import Foreteller
-from planner_bridge.pddl import parse_domain, parse_problem
-from planner_bridge.pipeline.odds import KnownRobots
 from planner_bridge.tasks.settings import Settings
-from pnm.actions.faults import Fault, FaultKind, Faults
-from pnm.core.machine.plan_graph import GroundAction
+from pnm.actions.faults import Faults
 from pnm.tasks import TaskListener
+from tests.support.pddl.chance import NEVER_FAILS, RIVER, to_the_island
 from tests.support.tasks.node import simulated
 from tests.support.tasks.simulation import TaskSimulation
-
-RIVER = parse_domain("""(define (domain river) (:requirements :strips :non-deterministic) (:predicates (near) (far) (island))
-  (:action wade :precondition (near) :effect (and (not (near)) (oneof (far) (and) (island) (island))))
-  (:action swim :precondition (island) :effect (and (not (island)) (probabilistic 0.8 (far)))))""")
-PROBLEM = parse_problem("(define (problem p) (:domain river) (:init (near)) (:goal (far)))", RIVER)
-KNOWN = KnownRobots(faults=Faults((Fault("wade", FaultKind.ABORT, chance=0.0), Fault("swim", FaultKind.ABORT, chance=0.0))))
-
-
-def to_the_island(action: GroundAction, _: Random) -> Fault:
-    return Fault(action.name, outcome="3" if action.name == "wade" else "1")
 
 
 class Told(TaskListener):
@@ -40,9 +27,9 @@ class Told(TaskListener):
                 self.odds.append(status.odds.chance)
 
 
-@simulated(PROBLEM, chosen=Settings(), faults=Faults(drawn=to_the_island))
+@simulated(RIVER, chosen=Settings(), faults=Faults(drawn=to_the_island))
 async def test_odds_count_with_what_the_policy_has_after_each_outcome(simulation: TaskSimulation):
-    told, foreteller = Told(simulation), Foreteller(simulation.master, KNOWN, simulation.knowledge)
+    told, foreteller = Told(simulation), Foreteller(simulation.master, NEVER_FAILS, simulation.knowledge)
     simulation.master.listen(foreteller)
     simulation.master.listen(told)
     await simulation.reaches(simulation.want("(far)"))

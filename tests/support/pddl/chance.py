@@ -10,10 +10,14 @@ from random import Random
 from planner_bridge.model.grounding import ground_step, initial_knowledge
 from planner_bridge.model.plan import Policy
 from planner_bridge.model.problem import Problem
+from planner_bridge.pddl import parse_domain, parse_problem
+from planner_bridge.pipeline.odds import KnownRobots
+from pnm.actions.faults import Fault, FaultKind, Faults
 from pnm.core.knowledge_base import KnowledgeBase
 from pnm.core.logic.conditions import evaluate
 from pnm.core.logic.effects import Alternative, changes
 from pnm.core.logic.expressions import Fluent, Unknown, Value
+from pnm.core.machine.plan_graph import GroundAction
 
 State = frozenset[tuple[Fluent, Value | Unknown]]
 
@@ -26,12 +30,24 @@ DOMAIN = """
   {rules}{actions})
 """
 PROBLEM = "(define (problem p) (:domain chance) (:objects a b - thing) (:init (= (n) 2) (= (m) 1) {init}) (:goal (and {goal})))"
-
+FACTS = [f"({name} {thing})" for name in "pqr" for thing in "ab"]
 RULES = """(:derived (d ?x - thing) (or {0} (exists (?y - thing) (and (d ?y) {1}))))
   (:derived (e ?x - thing) (or (and (not (d ?x)) {2}) (forall (?y - thing) (imply {3} (d ?y)))))
   """
 """Of which the first one leads from one fact to the next, and the other one asks that none does."""
-FACTS = [f"({name} {thing})" for name in "pqr" for thing in "ab"]
+RIVER = parse_problem(
+    "(define (problem p) (:domain river) (:init (near)) (:goal (far)))",
+    parse_domain("""(define (domain river) (:requirements :strips :non-deterministic) (:predicates (near) (far) (island))
+  (:action wade :precondition (near) :effect (and (not (near)) (oneof (far) (and) (island) (island))))
+  (:action swim :precondition (island) :effect (and (not (island)) (probabilistic 0.8 (far)))))"""),
+)
+"""A river that is crossed with a chance of 0.65, and from its island of 0.8."""
+NEVER_FAILS = KnownRobots(faults=Faults((Fault("wade", FaultKind.ABORT, chance=0.0), Fault("swim", FaultKind.ABORT, chance=0.0))))
+
+
+def to_the_island(action: GroundAction, _: Random) -> Fault:
+    """Have whoever crosses the river come to its island first."""
+    return Fault(action.name, outcome="3" if action.name == "wade" else "1")
 
 
 def texts(seed: int, *, counts: bool = False, derives: bool = False) -> tuple[str, str]:
