@@ -124,9 +124,9 @@ def history(journal: str | None, as_json: bool) -> int:
 def learn(sources: tuple[str, ...], output: Path | None) -> int:
     """Learn chances and durations from journals.
 
-    Counts how calls have ended, and after how many seconds. Each JOURNAL is a file or a postgresql://...; a file of rates (.yaml) is
-    merged. A journal that was counted before adds only what is new in it. The default is the node's journal written last on this
-    computer.
+    Counts how calls have ended, with which outcomes, and after how many seconds. Each JOURNAL is a file or a postgresql://...; a file of
+    rates (.yaml) is merged. A journal that was counted before adds only what is new in it. The default is the node's journal written last
+    on this computer.
     """
     from planner_bridge.explanations.learning import learn as learned  # here, because looking at a journal needs neither
     from planner_bridge.model.rates import NO_RATES, Rates, read_rates, update_rates

@@ -57,6 +57,7 @@ def attempts_of(history: JournalHistory, run: RunHistory) -> Iterator[tuple[Call
     requests = {call: [under_way.request] for call, under_way in run.made.adopted.items()}
     for call, sent in run.sent.items():
         requests[call] = [*requests.get(call, ()), *sent]
+    outcomes = {sent[-1]: run.last_results[call].declared for call, sent in requests.items() if sent and call in run.last_results}
     seen: dict[UUID, End] = {}
     for trouble in (*run.hindrances, *run.failures):
         call, end = trouble.step.index, _SEEN.get(trouble.cause.cause)
@@ -70,4 +71,7 @@ def attempts_of(history: JournalHistory, run: RunHistory) -> Iterator[tuple[Call
         end = seen.get(request, End(attempt.outcome.kind.value) if attempt.outcome else None)
         if end is not None:
             began = attempt.sent if attempt.accepted is None else attempt.accepted
-            yield Call.of(attempt.action, run.source.bindings), Counts.of(end, None if attempt.ended is None else attempt.ended - began)
+            # empty for an action with one outcome, and several names for what nothing has told apart
+            outcome = next((way.name for way in attempt.action.outcomes if way.name == outcomes.get(request)), "")
+            took = None if attempt.ended is None else attempt.ended - began
+            yield Call.of(attempt.action, run.source.bindings), Counts.of(end, took, outcome)

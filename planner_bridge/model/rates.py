@@ -1,4 +1,4 @@
-"""Rates: how often attempts at calls end in which way, and after how many seconds; learned from journals, and kept as YAML.
+"""Rates: how often attempts at calls end in which way, with which outcome, and after how many seconds; learned, and kept as YAML.
 
 All that is kept are counts of whole numbers, so that two files add up to just what one file of both would be. Seconds are counted in
 steps of 2 %, beside their sum: means are exact, and quantiles within 2 % of what was measured. The rates of an action, of its server
@@ -12,16 +12,18 @@ import json
 import os
 import re
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import Enum, StrEnum
 from functools import cached_property
 from math import exp, log, sqrt
 from pathlib import Path
+from random import Random
 from typing import TYPE_CHECKING, Final, NamedTuple, TypeVar
 
 from planner_bridge.model.plan import ASSUMED_SECONDS
 from pnm.core.logic.domain import ActionSchema
+from pnm.core.logic.effects import Alternative
 from pnm.core.logic.expressions import Constant
 from pnm.core.machine.bindings import Bindings
 from pnm.core.machine.plan_graph import GroundAction
@@ -77,7 +79,7 @@ class End(StrEnum):
     """It was called off, which says nothing about the action: it is counted, and no part of any chance."""
 
 
-ASSUMED: Final[Mapping[End, float]] = {End.SUCCEEDED: 0.9, End.ABORTED: 0.1}
+ASSUMED: Final[Mapping[str, float]] = {End.SUCCEEDED: 0.9, End.ABORTED: 0.1}
 """Chances of which nothing is known; together they count as one attempt."""
 
 
@@ -132,18 +134,24 @@ class Rests:
 
 @dataclass(frozen=True, slots=True)
 class Chance:
-    """The chances of the ends of an attempt, as a Dirichlet distribution.
+    """The chances of the ends of an attempt, or of the outcomes of a call, as a Dirichlet distribution.
 
     Args:
-        weights: its parameters: attempts that have ended so, and what was assumed before.
+        weights: its parameters: attempts that have ended so, and what was assumed before; the chances themselves if they are declared.
     """
 
-    weights: Mapping[End, float]
+    weights: Mapping[str, float]
     rests: Rests
 
-    def of(self, end: End) -> float:
-        """Return the mean chance of an end."""
+    def of(self, end: str) -> float:
+        """Return the mean chance of an end, or of the outcome of a name."""
         return self.weights.get(end, 0.0) / sum(self.weights.values())
+
+    def drawn(self, random: Random) -> Chance:
+        """Return them as they may be instead, if they were learned."""
+        if self.rests.basis is not Basis.LEARNED:
+            return self
+        return replace(self, weights={end: random.gammavariate(weight, 1.0) for end, weight in self.weights.items()})
 
     @property
     def success(self) -> float:
@@ -225,25 +233,33 @@ def step_of(seconds: float) -> int:
 
 @dataclass(frozen=True, slots=True)
 class Counts:
-    """How attempts have ended, and when: those that succeeded, and those that failed, from acceptance to the end."""
+    """How attempts have ended, and when: those that succeeded, and those that failed, from acceptance to the end.
+
+    Args:
+        outcomes: which of the outcomes of their action they had, where it has several and it is known.
+    """
 
     ends: Mapping[End, int] = field(default_factory=dict)
     took: Times = field(default_factory=Times)
     failed_after: Times = field(default_factory=Times)
+    outcomes: Mapping[str, int] = field(default_factory=dict)
 
     @staticmethod
-    def of(end: End, seconds: float | None) -> Counts:
-        """Return one attempt; None if it was not seen to take any time."""
+    def of(end: End, seconds: float | None, outcome: str = "") -> Counts:
+        """Return one attempt; no seconds if it was not seen to take any time."""
         took = Times() if seconds is None or end is End.CANCELED else Times.of(seconds)
-        return Counts({end: 1}, took) if end is End.SUCCEEDED else Counts({end: 1}, failed_after=took)
+        if end is End.SUCCEEDED:
+            return Counts({end: 1}, took, outcomes={outcome: 1} if outcome else {})
+        return Counts({end: 1}, failed_after=took)
 
     def __add__(self, other: Counts) -> Counts:
-        return Counts(_plus(self.ends, other.ends), self.took + other.took, self.failed_after + other.failed_after)
+        outcomes = _plus(self.outcomes, other.outcomes)
+        return Counts(_plus(self.ends, other.ends), self.took + other.took, self.failed_after + other.failed_after, outcomes)
 
     @property
-    def tries(self) -> Mapping[End, int]:
+    def tries(self) -> Mapping[str, int]:
         """The ends that an attempt comes to by itself, and how often."""
-        return {end: count for end, count in self.ends.items() if end is not End.CANCELED}
+        return {end: self.ends[end] for end in End if end in self.ends and end is not End.CANCELED}
 
     @property
     def n(self) -> int:
@@ -308,14 +324,27 @@ class Rates:
         They are those of the action. Where its server, or its first arguments, or all of them, have had enough attempts, these count
         beside what is known of the wider group.
         """
-        weights, rests = ASSUMED, Rests(Basis.ASSUMED)
+        return self._chance(call, ASSUMED, lambda counts: counts.tries)
+
+    def outcomes(self, call: Call, ways: Sequence[Alternative]) -> Chance:
+        """Return the chances of the outcomes of a call: as they are declared; else learned, as in `chance`; else all are as likely.
+
+        Before anything is learned, they count as one attempt together.
+        """
+        declared = {way.name: way.chance for way in ways if way.chance is not None}
+        if declared:
+            return Chance(declared, Rests(Basis.DECLARED))
+        even = dict.fromkeys([way.name for way in ways], 1.0 / len(ways))
+        return self._chance(call, even, lambda counts: {name: counts.outcomes[name] for name in even if name in counts.outcomes})
+
+    def _chance(self, call: Call, before: Mapping[str, float], counted: Callable[[Counts], Mapping[str, int]]) -> Chance:
+        weights, rests = before, Rests(Basis.ASSUMED)
         for group, counts in self._known(call):
-            if counts.n >= (ENOUGH if rests.n else 1):
+            seen = counted(counts)
+            if (n := sum(seen.values())) >= (ENOUGH if rests.n else 1):
                 share = ENOUGH / sum(weights.values()) if rests.n else 1.0
-                weights = {
-                    end: share * weights.get(end, 0.0) + counts.tries.get(end, 0) for end in End if end in weights or end in counts.tries
-                }
-                rests = Rests(Basis.LEARNED, counts.n, group)
+                weights = {end: share * weights.get(end, 0.0) + seen.get(end, 0) for end in {**weights, **seen}}
+                rests = Rests(Basis.LEARNED, n, group)
         return Chance(weights, rests)
 
     def seconds(self, call: Call, declared: float | None = None, *, succeeded: bool = True) -> Durations:
@@ -388,11 +417,14 @@ class Rates:
             rows.append((action, str(chance.rests.n), *share, *within, f"{limit:.3g} s" if limit else ""))
         wide = [max(map(len, column)) for column in zip(*rows, strict=True)]
         lines += [f"# {'  '.join(map(str.ljust, row, wide))}".rstrip() for row in rows]
+        for action, ways in ((row[0], self.groups[row[0],].outcomes) for row in rows[1:]):
+            shares = ", ".join(f"{name} {count / sum(ways.values()):.1%}" for name, count in sorted(ways.items()))
+            lines += [f"# outcomes of {action}: {shares}"] if shares else []
         lines += ["", "journals:  # each with the last of its records that is counted"]
         lines += [f"  {_key(id)}: {last}" for id, last in sorted(self.journals.items())]
         lines += [
             "",
-            "servers:  # for each its calls: the ends; the sum of all seconds until success, or until another end, and its parts",
+            "servers:  # for each its calls: ends, outcomes; the sum of all seconds until success, or until another end, and its parts",
         ]
         for server in sorted({call.server for call in self.calls}):
             lines.append(f"  {_key(server)}:")
@@ -400,6 +432,8 @@ class Rates:
                 counts = self.calls[call]
                 ends = ", ".join(f"{end}: {counts.ends[end]}" for end in End if end in counts.ends)
                 lines += [f"    {_key(str(call))}:", f"      ends: {{{ends}}}"]
+                if counts.outcomes:
+                    lines.append(f"      outcomes: {{{', '.join(f'{_key(name)}: {n}' for name, n in sorted(counts.outcomes.items()))}}}")
                 for key, times in (("took", counts.took), ("failed_after", counts.failed_after)):
                     if times.steps:
                         parts = [f"{count}*{STEP**step:.4g}" for step, count in sorted(times.steps.items())]
@@ -420,11 +454,13 @@ def read_rates(path: Path | str) -> Rates:
                 raise InputError(f"expected a call such as move(robot, hall), found {written!r}", where)
             action, *arguments = [json.loads(word) if word[0] == '"' else word for word in re.findall(_WORD, written)]
             entry = node.mapped()
-            entry.only("ends", "took", "failed_after")
-            ends = entry.section("ends")
+            entry.only("ends", "outcomes", "took", "failed_after")
+            ends, outcomes = entry.section("ends"), entry.section("outcomes")
             ends.only(*(end.value for end in End))
             found = {End(name): ends.whole(name, 0) for name in ends.nodes}
-            calls.append((Call(server, action, tuple(arguments)), Counts(found, _times(entry, "took"), _times(entry, "failed_after"))))
+            times = _times(entry, "took"), _times(entry, "failed_after")
+            counts = Counts(found, *times, {name: outcomes.whole(name, 0) for name in outcomes.nodes})
+            calls.append((Call(server, action, tuple(arguments)), counts))
     return Rates(_summed(calls), {id: journals.whole(id, 0) for id in journals.nodes})
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import product
@@ -14,10 +14,10 @@ from planner_bridge.model.forbidden_actions import unused_name
 from planner_bridge.model.plan import Plan
 from planner_bridge.model.problem import Domain, Metric, Problem, once_per_domain
 from planner_bridge.model.progression import calls_of
-from planner_bridge.model.rates import NO_RATES, Basis, Call, Rates
+from planner_bridge.model.rates import NO_RATES, Basis, Call, Chance, Rates
 from planner_bridge.ordering.plan_to_graph import plan_graph
 from pnm.core.logic.domain import ActionSchema, Declaration
-from pnm.core.logic.effects import Set
+from pnm.core.logic.effects import Alternative, Set
 from pnm.core.logic.expressions import ValueOf
 from pnm.core.machine.bindings import NO_BINDINGS, Bindings, placeholders
 from pnm.core.machine.plan_graph import GroundAction, PlanGraph, PlanGraphError
@@ -53,8 +53,7 @@ class ExpectedTimes:
         if key not in self._found:
             binding = self.bindings.of(action.name)
             declared = binding.seconds if action.duration is None else action.duration
-            names_server = set(placeholders(binding.server or "")) <= set(action.parameters)
-            call = Call.of(action, self.bindings) if action.arguments and names_server else Call("", action.name)
+            call = self._call(action)
             chance, lasts = self.learned.chance(call), self.learned.mean(call, declared)
             own = self.learned.groups.get(call.group[: 2 + self.told_apart.get(call.action, 0)])
             if call.arguments and call.action in self.told_apart and not (own and own.took.n):
@@ -63,6 +62,14 @@ class ExpectedTimes:
                 lasts += (1.0 / chance.success - 1.0) * self.learned.mean(call, declared, succeeded=False)
             self._found[key] = lasts
         return self._found[key]
+
+    def outcomes(self, action: GroundAction, ways: Sequence[Alternative]) -> Chance:
+        """Return how likely the outcomes of an action are."""
+        return self.learned.outcomes(self._call(action), ways)
+
+    def _call(self, action: GroundAction) -> Call:
+        names_server = set(placeholders(self.bindings.of(action.name).server or "")) <= set(action.parameters)
+        return Call.of(action, self.bindings) if action.arguments and names_server else Call("", action.name)
 
     def of(self, schema: ActionSchema, arguments: tuple[str, ...]) -> float:
         """Return the expected seconds of the calls of an action that begin with these arguments."""

@@ -19,7 +19,7 @@ from random import Random
 from typing import Any, Final, TypeAlias
 
 from planner_bridge.model.progression import NotApplicable, Progression, snapshot
-from planner_bridge.model.rates import NO_RATES, Call, End, Rates, wilson
+from planner_bridge.model.rates import NO_RATES, Basis, Call, Chance, End, Rates, wilson
 from pnm.actions.faults import NO_FAULTS, Fault, FaultKind, Faults
 from pnm.actions.simulated_robots import LAG, SLOWNESS
 from pnm.core.knowledge_base import KnowledgeBase
@@ -68,11 +68,13 @@ class AttemptOdds:
     Args:
         rests: what they rest on, in words.
         total: the number of attempts that the chances were estimated from; 0 if they are known.
+        outcomes: the chances of those of its action, if it has several.
     """
 
     endings: tuple[AttemptEnd, ...]
     rests: str
     total: float = 0.0
+    outcomes: Chance | None = None
 
     def chance(self, leads: Leads) -> float:
         """Return the chance of what follows."""
@@ -93,6 +95,7 @@ class AttemptOdds:
 
 
 _CERTAIN: Final = AttemptOdds((AttemptEnd(Leads.DONE, 1.0, ((0.0, 1.0),)),), "nothing: no server is needed")
+_OUTCOMES: Final = {Basis.DECLARED: "declared outcomes", Basis.ASSUMED: "outcomes taken as equally likely"}
 CallKind: TypeAlias = tuple[tuple[str, float, tuple[tuple[Leads, float], ...]], int]
 """What calls with the same chance of success have in common."""
 Attempts: TypeAlias = Callable[[GroundAction], AttemptOdds | None]
@@ -353,7 +356,8 @@ def declared(faults: Faults, bindings: Bindings, untimed: float) -> Attempts:
                     return None
             endings.append(AttemptEnd(leads, left * fault.chance, ((seconds, 1.0),)))
             left *= 1.0 - fault.chance
-        return AttemptOdds((AttemptEnd(Leads.DONE, left, ((lasts, 1.0),)), *endings), "declared")
+        outcomes = NO_RATES.outcomes(Call("", action.name), action.outcomes) if action.outcomes else None
+        return AttemptOdds((AttemptEnd(Leads.DONE, left, ((lasts, 1.0),)), *endings), "declared", outcomes=outcomes)
 
     return (lambda _: None) if faults.changes else attempts
 
@@ -371,7 +375,8 @@ def learned(rates: Rates, bindings: Bindings) -> Attempts:
                 leads = Leads.FAILED
             seconds = rates.seconds(call, lasts, succeeded=leads is Leads.DONE).buckets
             endings.append(AttemptEnd(leads, chance.of(end), tuple(seconds)))
-        return AttemptOdds(tuple(endings), str(chance.rests), sum(chance.weights.values()))
+        outcomes = rates.outcomes(call, action.outcomes) if action.outcomes else None
+        return AttemptOdds(tuple(endings), str(chance.rests), sum(chance.weights.values()), outcomes)
 
     return attempts
 
@@ -396,8 +401,10 @@ def played(attempts: Attempts, spent: frozenset[str] = frozenset()) -> Faults:
             if isinstance(effect, Set) and effect.operation == "decrease" and effect.fluent[0] in spent and not action.outcomes
         }
         whole = tuple([uses.get(effect, effect) if isinstance(effect, Set) else effect for effect in action.end_effects]) if uses else None
-        lasts, for_good = random.choices(seconds, weights)[0], ending.leads is Leads.FAILED
-        return Fault(action.name, kind, seconds=lasts, for_good=for_good, succeeded=whole, failed=tuple(uses.values()))
+        lasts, for_good, outcome = random.choices(seconds, weights)[0], ending.leads is Leads.FAILED, ""
+        if attempt.outcomes:
+            (outcome,) = random.choices([*attempt.outcomes.weights], [*attempt.outcomes.weights.values()])
+        return Fault(action.name, kind, seconds=lasts, for_good=for_good, outcome=outcome, succeeded=whole, failed=tuple(uses.values()))
 
     return Faults(drawn=drawn)
 
@@ -470,8 +477,8 @@ class GoalOdds:
         found: dict[str, dict[str, None]] = {}
         for call in self.calls:
             found.setdefault(call.attempt.rests, {})[call.call.action.name] = None
-            if ways := call.call.action.outcomes:
-                rests = "outcomes taken as equally likely" if ways[0].chance is None else "declared outcomes"
+            if outcomes := call.attempt.outcomes:
+                rests = _OUTCOMES.get(outcomes.rests.basis, f"outcomes {outcomes.rests}")
                 found.setdefault(rests, {})[call.call.action.name] = None
         return {rests: [*actions] for rests, actions in found.items()}
 

@@ -1,8 +1,9 @@
 """The odds of a policy: a Markov chain over the states between its stretches.
 
 A stretch is a plan, whose calls have exact odds. It ends in one of the outcomes of its last call, by their chances: the declared ones,
-or else all are as likely. If all calls of it succeed, the policy says what follows; a failure for good ends the chain, because what is
-planned then is no part of the policy. The chance and the number of calls are solved exactly, and times are drawn along the chain.
+else the learned ones, else all are as likely. If all calls of it succeed, the policy says what follows; a failure for good ends the
+chain, because what is planned then is no part of the policy. The chance and the number of calls are solved exactly, and times are drawn
+along the chain.
 
 While a plan is carried out, what is left of it comes first.
 """
@@ -11,7 +12,7 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cache
 from itertools import count
 from math import prod
@@ -23,6 +24,7 @@ from planner_bridge.model.grounding import conditions_of, dynamic_names, initial
 from planner_bridge.model.plan import Policy
 from planner_bridge.model.problem import Problem
 from planner_bridge.model.progression import NotApplicable, Progression, snapshot
+from planner_bridge.model.rates import Basis, Chance, Rests
 from planner_bridge.ordering.plan_to_graph import stretch_graph
 from planner_bridge.pipeline.odds import (
     DRAWS,
@@ -50,24 +52,37 @@ from pnm.core.machine.requests import CallOutcome
 MOST_STATES: Final = 200
 """States between stretches, at most."""
 _DRAWS: Final = 20_000
-"""Draws of the times of all stretches together, each of which has `_LEAST` at least."""
+"""Draws of the times of all stretches together, or of all calls of what is left of a plan; each has `_LEAST` at least."""
 _LEAST: Final = 50
 _DRAWN: Final = 200_000
 """Stretches of all ways to the goal that are drawn, together."""
 _GOAL, _NOWHERE = -1, -2
+_ONE_OUTCOME: Final = Chance({"": 1.0}, Rests(Basis.ASSUMED))
 _STEP: Final = 1e-100
 """A chance is multiplied by 1 + `_STEP` i for every call: its imaginary part is then its derivative, which counts the calls."""
 
 
 @dataclass(frozen=True, slots=True)
 class Stretch:
-    """What the policy does in a state, and the numbers of the states that this leads to, with their chances if all calls succeed."""
+    """What the policy does in a state, and the number of the state that each outcome leads to, by its name, if all calls succeed."""
 
     graph: PlanGraph
     calls: tuple[CallOdds, ...]
-    leads: Mapping[int, float]
+    then: Mapping[str, int] = field(default_factory=dict)
     began: float = 0.0
     """Seconds from now, so not above 0."""
+
+    @property
+    def outcomes(self) -> Chance:
+        """The chances of its outcomes; it has one, without a name, if no action has several."""
+        return next((call.attempt.outcomes for call in self.calls if call.attempt.outcomes), _ONE_OUTCOME)
+
+    def leads(self, chance: Chance) -> dict[int, float]:
+        """Return the numbers of the states that it leads to, with their chances by those of its outcomes."""
+        found: dict[int, float] = defaultdict(float)
+        for name, after in self.then.items():
+            found[after] += chance.of(name)
+        return found
 
     @property
     def left(self) -> tuple[CallOdds, ...]:
@@ -116,7 +131,7 @@ class PolicyChain:
             calls = begun.calls if begun else odds_of_calls(graph, bindings, attempts)
             if calls is None or len(states) > most:
                 return None
-            leads: dict[int, float] = defaultdict(float) if graph.calls else {_NOWHERE: 1.0}
+            then = {} if graph.calls else {"": _NOWHERE}
             ways = next((call.action.outcomes for call in graph.calls if call.action.outcomes), (Alternative(()),))
             for way in ways if graph.calls else ():
                 walk = Progression(snapshot(state))
@@ -126,8 +141,8 @@ class PolicyChain:
                         walk.advance([(event, replace(action, end_effects=way.effects) if action.outcomes else action)])
                 except NotApplicable:
                     return None
-                leads[number(walk.state)] += 1.0 / len(ways) if way.chance is None else way.chance
-            found.append(Stretch(graph, calls, leads, begun.began if begun else 0.0))
+                then[way.name] = number(walk.state)
+            found.append(Stretch(graph, calls, then, begun.began if begun else 0.0))
             begun = None
         return PolicyChain(tuple(found))
 
@@ -140,20 +155,26 @@ class PolicyChain:
         """Return the odds of the goal."""
         values = self.chances({call.kind: call.chance() for call in self.calls})
         chance = round(values[0].real, 12)
-        draws = max(_LEAST, min(DRAWS, _DRAWS // len(values)))
-        between = interval(self.calls, lambda success: self.chances(success)[0].real, min(INTERVAL_DRAWS, draws))
+        draws, random = _draws(len(values)), Random(0)
+        between = interval(self.calls, lambda success: self.chances(success, random)[0].real, min(INTERVAL_DRAWS, draws))
         lasts = self.times({number: value.real for number, value in values.items()}, draws) if chance else ()
         return Odds(chance, between or (chance, chance), lasts, actions=values[0].imag / _STEP / chance if chance else 0.0)
 
-    def chances(self, success: Mapping[CallKind, float]) -> dict[int, complex]:
+    def chances(self, success: Mapping[CallKind, float], random: Random | None = None) -> dict[int, complex]:
         """Return the chance of the goal from every state: states are taken out of the chain, the last one first, and put in again.
 
         What leaves a state is summed up, and not taken from 1 (Grassmann, Taksar and Heyman 1985): nothing small is lost.
+
+        Args:
+            random: draws chances of outcomes that were learned, once for all that rest on the same attempts.
         """
-        rows: list[dict[int, complex]] = []
+        rows, drawn = list[dict[int, complex]](), dict[object, Chance]()
         for stretch in self.stretches:
-            chance = prod(success[call.kind] for call in stretch.left)
-            row = {after: chance * share * (1.0 + 1j * _STEP * len(stretch.left)) for after, share in stretch.leads.items()}
+            chance, outcomes = prod(success[call.kind] for call in stretch.left), stretch.outcomes
+            if random and outcomes.rests.n:
+                outcomes = drawn.setdefault((outcomes.rests, *outcomes.weights), outcomes.drawn(random))
+            leads = stretch.leads(outcomes)
+            row = {after: chance * share * (1.0 + 1j * _STEP * len(stretch.left)) for after, share in leads.items()}
             rows.append({**row, _NOWHERE: row.get(_NOWHERE, 0.0) + 1.0 - chance})
         for number in reversed(range(len(rows))):
             row = rows[number]
@@ -179,7 +200,7 @@ class PolicyChain:
 
         @cache
         def leads(number: int) -> tuple[tuple[int, ...], list[float]]:
-            shares = self.stretches[number].leads
+            shares = self.stretches[number].leads(self.stretches[number].outcomes)
             return (*shares,), [share * chances[after] for after, share in shares.items()]
 
         done = count()
@@ -194,12 +215,14 @@ class PolicyChain:
         return tuple(sorted(found))
 
 
+def _draws(number: int) -> int:
+    """Return the draws of each of so many stretches or calls: the more there are, the fewer."""
+    return max(_LEAST, min(DRAWS, _DRAWS // max(1, number)))
+
+
 # --- what is left of a plan -----------------------------------------------------------------------
 
 
-_DRAWS_OF_CALLS: Final = 20_000
-"""Draws of all calls together of what is left of a plan while it is carried out, and `_LEAST_DRAWS` of each."""
-_LEAST_DRAWS: Final = 50
 _AS_PLANNED: Final = {CallOutcome.WAITING, CallOutcome.RUNNING, CallOutcome.SUSPENDED, CallOutcome.SUCCEEDED, CallOutcome.ALREADY_TRUE}
 """What becomes of calls as long as nothing else has to follow than their plan."""
 
@@ -258,8 +281,6 @@ class RestOfPlan:
     def odds(self, known: KnownRobots, policy: Policy | None = None, began: Problem | None = None) -> GoalOdds | None:
         """Return the odds of what is left of its plan, and of what its policy has after it; None if there are none.
 
-        The more calls are left, the fewer draws each has.
-
         Args:
             policy: says what follows where its last call has several outcomes.
             began: the problem from the state in which the run began.
@@ -267,14 +288,12 @@ class RestOfPlan:
         calls = self.calls(known)
         if calls is None:
             return None
-        since, left = self.origin - self.now, tuple([call for call in calls if call.ended is None])
+        begun = Stretch(self.graph, calls, began=self.origin - self.now)
         if any(call.call.action.outcomes for call in calls):
-            if policy is None or began is None or not any(call.call.action.outcomes for call in left):
+            if policy is None or began is None or not any(call.call.action.outcomes for call in begun.left):
                 return None  # it is not known what follows, or not yet how it has turned out
-            begun = Stretch(self.graph, calls, {}, since)
             chain = PolicyChain.of(began, policy, self.bindings, self.attempts(known), begun=begun)
             return GoalOdds(chain.odds(), None, chain.calls) if chain else None
-        chance = prod(call.chance() for call in left)
-        count = max(_LEAST_DRAWS, min(DRAWS, _DRAWS_OF_CALLS // max(1, len(left))))
-        lasts = tuple(sorted(times(self.graph, calls, count, since))) if chance else ()
-        return GoalOdds(Odds(chance, (chance, chance), lasts), None, left)
+        chance = prod(call.chance() for call in begun.left)
+        lasts = tuple(sorted(times(self.graph, calls, _draws(len(begun.left)), begun.began))) if chance else ()
+        return GoalOdds(Odds(chance, (chance, chance), lasts), None, begun.left)

@@ -74,7 +74,7 @@ def solve(
         cancel: set from another thread to end the search.
         executor: runs the planners of a portfolio; a process pool by default.
         bindings: say how long actions take, where the domain does not, and which resources they need for themselves.
-        learned: say how long they take, and how often they succeed, by what has happened.
+        learned: say how long they take, how often they succeed, and which outcomes they have, by what has happened.
         known: a plan that robots carry out meanwhile: Kairos looks for a better one alone, and for longer.
         is_looked_at: whether the plan is for people alone. Unless they say how long it may be improved, they get plans with times or a
             metric at once; of others a lower bound says how far they are from the best, and when there is no need to look for a better one.
@@ -109,7 +109,7 @@ def solve(
             began = time.monotonic()
             seconds = rates.expected if rates is not None and (problem.is_timed or rates.are_measure(problem)) else None
             try:
-                thinking = Thinking(problem, timeout, cancel, seconds)
+                thinking = Thinking(problem, timeout, cancel, seconds, rates.outcomes if rates else None)
                 policy = thinking.wait(began + _FOR_POLICIES * timeout - time.monotonic(), improve)
                 if policy is not None and (plan := policy.plan(initial_knowledge(problem))) is not None:
                     return PlanningResult(PlanningStatus.SOLVED, plan, planner=planner, policy=thinking)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import defaultdict, deque
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import product
 from math import inf
@@ -11,6 +11,7 @@ from typing import Final, TypeAlias, assert_never
 
 from planner_bridge.model.grounding import conditions_of, dynamic_names, initial_knowledge, modelled_duration
 from planner_bridge.model.problem import TOTAL_TIME, Problem
+from planner_bridge.model.rates import NO_RATES, Call, Chance
 from planner_bridge.planning.policies.numbers import AtLeast, PartlyKnown, Scale, values_from
 from planner_bridge.planning.policies.task import (
     ANY,
@@ -60,6 +61,8 @@ from pnm.core.machine.plan_graph import GroundAction
 
 Seconds: TypeAlias = Callable[[GroundAction], float]
 """Returns how long an action is expected to take."""
+Chances: TypeAlias = Callable[[GroundAction, Sequence[Alternative]], Chance]
+"""Returns how likely the outcomes of an action are."""
 MOST_ACTIONS: Final = 200_000
 """Ground actions at most."""
 _MOST_PARTS: Final = 64
@@ -70,24 +73,26 @@ _LEAST_COST: Final = 0.001
 """That of an action at least: what costs nothing would come no nearer to the goal."""
 
 
-def policy_task(problem: Problem, seconds: Seconds | None = None) -> PolicyTask:
+def policy_task(problem: Problem, seconds: Seconds | None = None, chances: Chances | None = None) -> PolicyTask:
     """Return the task of the problem; raise `Unsuitable` if it has more than facts and numbers that only actions change, or is too large.
 
     Args:
         seconds: how long actions take, where plans are measured by that; by default, as long as the domain says.
+        chances: how likely outcomes are; by default, as the domain says, and else all of an action as likely.
     """
-    return _Grounding(problem, seconds).task()
+    return _Grounding(problem, seconds, chances).task()
 
 
 class _Grounding:
     """The facts of a problem that actions change, in the order in which they were met: mutable state."""
 
-    def __init__(self, problem: Problem, seconds: Seconds | None) -> None:
+    def __init__(self, problem: Problem, seconds: Seconds | None, chances: Chances | None) -> None:
         self.problem, self.state, self.rules, changing = problem, initial_knowledge(problem), problem.domain.rules, dynamic_names(problem)
         self.changing = changing.union(name for name in self.rules.derived if self.rules.base((name,)) & changing)
         self.constant = PartlyKnown({}, self.state, self.changing)
         """What is known if nothing is known of what changes."""
         self.seconds = seconds or (lambda action: action.duration or 0.0)
+        self.chances = chances or (lambda action, ways: NO_RATES.outcomes(Call("", action.name), ways))
         metric = problem.metric if problem.metric and problem.metric.direction == "minimize" else None
         counted = metric.expression.fluent if metric and isinstance(metric.expression, ValueOf) else TOTAL_TIME
         self.total = counted if counted[0] in self.changing else None
@@ -310,20 +315,24 @@ class _Grounding:
             if not conditions:
                 continue
             ways, found = alternatives[schema.name], []
+            chances = self.chances(self.ground(schema, arguments, duration), ways) if len(ways) > 1 else None
             for way in ways:
                 its, more = _split(self.changes(way.effects, inner))
                 before = ((begun.before(condition), effect) for condition, effect in more)
                 counted = (*counting, *(Counting(condition, effect) for condition, effect in before if condition is not None))
-                chance = 1.0 / len(ways) if way.chance is None else way.chance
-                outcome = PolicyOutcome(way.name, chance, _merged(self.composed(begun, its)), counted)
+                outcome = PolicyOutcome(way.name, chances.of(way.name) if chances else 1.0, _merged(self.composed(begun, its)), counted)
                 found.append(outcome._replace(changes=(*outcome.changes, *self.levels(outcome))))
             for change in (change for outcome in found for change in outcome.changes):
                 instances.reach(change.add)
             if any(outcome.changes or outcome.counting for outcome in found):
                 cost = sum(outcome.chance * self.price(schema, way.effects, inner) for way, outcome in zip(ways, found, strict=True))
                 if self.measure == "s":
-                    cost = self.seconds(GroundAction(schema.name, arguments, tuple(name[1:] for name in env), duration=duration))
+                    cost = self.seconds(self.ground(schema, arguments, duration))
                 yield PolicyAction(schema.name, arguments, conditions, tuple(found), max(cost, _LEAST_COST))
+
+    def ground(self, schema: ActionSchema, arguments: tuple[str, ...], duration: float | None) -> GroundAction:
+        """Return a ground action as far as it says how long it takes, and how it turns out."""
+        return GroundAction(schema.name, arguments, tuple(variable.name[1:] for variable in schema.parameters), duration=duration)
 
     def price(self, schema: ActionSchema, ended: Effects, env: Environment) -> float:
         """Return what an action adds to the metric, if that counts; 1 otherwise."""

@@ -21,7 +21,7 @@ from planner_bridge.model.progression import snapshot
 from planner_bridge.planning.kairos import LONGEST, SHARE
 from planner_bridge.planning.policies.chance import improve, take_chances
 from planner_bridge.planning.policies.encoding import OutcomePlanner
-from planner_bridge.planning.policies.grounding import Seconds, policy_task
+from planner_bridge.planning.policies.grounding import Chances, Seconds, policy_task
 from planner_bridge.planning.policies.numbers import ANY_NUMBER
 from planner_bridge.planning.policies.proof import unproved
 from planner_bridge.planning.policies.search import Interrupted, Search
@@ -193,12 +193,19 @@ class Thinking:
     Raises `Unsuitable` if the problem has more than facts and numbers that only actions change.
     """
 
-    def __init__(self, problem: Problem, timeout: float, cancel: CancelToken | None = None, seconds: Seconds | None = None) -> None:
+    def __init__(
+        self,
+        problem: Problem,
+        timeout: float,
+        cancel: CancelToken | None = None,
+        seconds: Seconds | None = None,
+        chances: Chances | None = None,
+    ) -> None:
         self.problem = problem
         self.policies: tuple[Policy, ...] = ()
         self._found, self._over = threading.Event(), threading.Event()
         stop = _Either(cancel)
-        better = policies(problem, timeout, stop, seconds)
+        better = policies(problem, timeout, stop, seconds, chances)
         thread = threading.Thread(target=_think, args=(weakref.ref(self), better, self._found, self._over), daemon=True)
         thread.start()
         weakref.finalize(self, _end, stop, thread)
@@ -276,15 +283,18 @@ def _end(stop: _Either, thread: threading.Thread) -> None:
         thread.join(1.0)
 
 
-def policies(problem: Problem, timeout: float, cancel: CancelToken | None = None, seconds: Seconds | None = None) -> Iterator[Policy]:
+def policies(
+    problem: Problem, timeout: float, cancel: CancelToken | None = None, seconds: Seconds | None = None, chances: Chances | None = None
+) -> Iterator[Policy]:
     """Return better and better policies: that reach the goal for certain, or else with the best chance that is found so far.
 
     Args:
         seconds: how long actions take, where policies are measured by that; by default, as long as the domain says.
+        chances: how likely outcomes are; by default, as the domain says, and else all of an action as likely.
 
     Raises `Unsuitable` if the problem has more than facts and numbers that only actions change.
     """
-    return _better(problem, policy_task(problem, seconds), time.monotonic(), timeout, cancel)
+    return _better(problem, policy_task(problem, seconds, chances), time.monotonic(), timeout, cancel)
 
 
 def _better(problem: Problem, task: PolicyTask, began: float, timeout: float, cancel: CancelToken | None) -> Iterator[Policy]:

@@ -10,13 +10,14 @@ import pytest
 from hypothesis import given, strategies as st
 
 from planner_bridge.model.rates import ENOUGH, MOST_CALLS, NO_RATES, STEP, Basis, Call, Counts, End, Rates, read_rates
+from pnm.core.logic.effects import Alternative
 from pnm.core.machine.bindings import Binding, Bindings
 from pnm.core.machine.plan_graph import GroundAction
 from pnm.errors import InputError
 
 words = st.sampled_from(["r1", "hall", "on", "1e3", "a b", 'say "hi", (x)', "tür", "back\\slash"])
 calls = st.builds(Call, st.sampled_from(["/r1/move", "true", "say: it"]), words, st.lists(words, max_size=3).map(tuple))
-attempts = st.builds(Counts.of, st.sampled_from(End), st.none() | st.floats(0.0, 1e6))
+attempts = st.builds(Counts.of, st.sampled_from(End), st.none() | st.floats(0.0, 1e6), st.sampled_from(["", "1", "no", "held+2"]))
 journals = st.lists(st.tuples(calls, attempts), max_size=12)
 
 
@@ -70,6 +71,25 @@ def test_the_nearest_group_with_enough_attempts_tells_the_chance() -> None:
     assert str(rates.chance(hard).rests) == "learned from 60 of move(r1, closet)"
     assert rates.chance(rare).success == rates.chance(Call("/move", "move")).success
     assert rates.chance(Call("/move", "jump")).rests.basis is Basis.ASSUMED
+
+
+def test_chances_of_outcomes_are_declared_then_learned_then_even() -> None:
+    ways, told = ([Alternative((), chance, name) for name in ("held", "fell")] for chance in (None, 0.5))
+    held, fell = (Counts.of(End.SUCCEEDED, 1.0, name) for name in ("held", "fell"))
+    cup, mug = (Call("/pick", "pick", (what,)) for what in ("cup", "mug"))
+    few, many = (NO_RATES.grown("j", 1, [(cup, held)] * 80 + [(mug, fell)] * number) for number in (ENOUGH - 1, ENOUGH))
+    assert [rates.outcomes(mug, ways).of("held") for rates in (NO_RATES, few, many)] == [
+        0.5,
+        pytest.approx(80.5 / 100),
+        pytest.approx(ENOUGH * 80.5 / 101 / (2 * ENOUGH)),
+    ]
+    assert [str(rates.outcomes(mug, one).rests) for rates, one in ((NO_RATES, ways), (few, told), (many, ways))] == [
+        "assumed",
+        "declared",
+        "learned from 20 of pick(mug)",
+    ]
+    assert few.outcomes(mug, told).of("held") == 0.5
+    assert few.outcomes(mug, [*ways, Alternative((), None, "new")]).of("new") == pytest.approx(1 / 300)
 
 
 def test_a_call_that_is_called_off_says_nothing_about_chances() -> None:
@@ -149,6 +169,7 @@ def test_limits_that_fit_cut_off_one_of_a_thousand_at_most(draw: Callable[[Rando
         ("servers:\n  s:\n    move: {}", ":3:5", "expected a call such as move\\(robot, hall\\), found 'move'"),
         ("servers:\n  s:\n    move(a): {ends: {succeded: 1}}", ":3:22", "unknown key 'succeded'; did you mean 'succeeded'"),
         ("servers:\n  s:\n    move(a): {ends: {lost: -1}}", ":3:28", "expected a number of at least 0 under 'lost', found -1"),
+        ("servers:\n  s:\n    move(a): {outcomes: {held: no}}", ":3:32", "expected a number of at least 0 under 'held', found 'no'"),
         ("servers:\n  s:\n    move(a): {took: 9 = 2*long}", ":3:21", "expected a sum of seconds such as 9.1 = 2\\*3.05 1\\*3, found"),
         ("servers:\n  s:\n    move(a): {took: 1 = 1*nan}", ":3:21", "expected a sum of seconds"),
         ("servers:\n  s:\n    move(a): {took: .inf = 1*1}", ":3:21", "expected a sum of seconds"),
