@@ -15,9 +15,10 @@ from planner_bridge.model.grounding import problem_now
 from planner_bridge.model.plan import Policy
 from planner_bridge.model.problem import Problem
 from planner_bridge.pipeline.odds import KnownRobots
-from planner_bridge.pipeline.policy_odds import RestOfPlan
+from planner_bridge.pipeline.policy_odds import PolicyChain, RestOfPlan
 from planner_bridge.tasks.task_manager import TaskManager
 from pnm.core.knowledge_base import KnowledgeBase
+from pnm.core.machine.plan_graph import PlanGraph
 from pnm.errors import PnmError
 from pnm.files.database.place import Place
 from pnm.tasks import EVENTS, TaskEnding, TaskListener, TraceEvent, TraceKind
@@ -87,17 +88,18 @@ class Learner(SpareTime):
 class Foreteller(SpareTime):
     """Works out the odds of what is left of the plans of tasks, when a task has another one, or a call has begun or ended.
 
-    The mutable state is which tasks these are, and the policies of tasks, with the problem where the last stretch has begun.
+    The mutable state is which tasks these are, the policies of tasks, with the problem where the last stretch began, and what follows it.
     """
 
     def __init__(self, tasks: TaskManager, known: KnownRobots, world: KnowledgeBase) -> None:
         self._tasks, self._known, self._world, self._due = tasks, known, world, dict[UUID, None]()
-        self._policies = dict[UUID, tuple[Policy, Problem]]()
+        self._policies, self._follows = dict[UUID, tuple[Policy, Problem]](), dict[UUID, tuple[PlanGraph, PolicyChain | None]]()
         super().__init__()
 
     def planned(self, task: UUID) -> None:
         """Work them out."""
         self._policies.pop(task, None)
+        self._follows.pop(task, None)
         if (control := self._tasks.control_of(task)) is not None and control.policy is not None:
             self._policies[task] = control.policy, problem_now(control.policy.problem, self._world)
         self._due[task] = None
@@ -106,6 +108,7 @@ class Foreteller(SpareTime):
     def ended(self, task: UUID, ending: TaskEnding) -> None:
         """Forget the task."""
         self._policies.pop(task, None)
+        self._follows.pop(task, None)
 
     def happened(self, moment: TraceEvent) -> None:
         """Work them out if it is about a call."""
@@ -119,5 +122,10 @@ class Foreteller(SpareTime):
         for task in due:
             if (control := self._tasks.control_of(task)) is not None and (run := control.run) is not None:
                 rest = RestOfPlan.of(run, asyncio.get_running_loop().time())
-                odds = await asyncio.to_thread(rest.odds, self._known, *self._policies.get(task, ()))
+                begun, follows = self._policies.get(task), self._follows.get(task, (None, None))
+                if begun is not None and follows[0] is not rest.graph:  # its run may be the one before that of its plan
+                    follows = rest.graph, await asyncio.to_thread(rest.chain, self._known, *begun)
+                    if task in self._policies:
+                        self._follows[task] = follows
+                odds = await asyncio.to_thread(rest.odds, self._known, follows[1])
                 self._tasks.foretell(task, odds.told if odds else None, rest.now)

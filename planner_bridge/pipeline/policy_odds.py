@@ -98,12 +98,12 @@ class PolicyChain:
 
     @staticmethod
     def of(
-        problem: Problem, policy: Policy, bindings: Bindings, attempts: Attempts, most: int = MOST_STATES, begun: Stretch | None = None
+        problem: Problem, policy: Policy, bindings: Bindings, attempts: Attempts, most: int = MOST_STATES, begun: PlanGraph | None = None
     ) -> PolicyChain | None:
         """Return the chain; None if calls have no exact odds, there are more states, or nothing tells some outcomes apart.
 
         Args:
-            begun: the first stretch, which began in the initial state, without what it leads to.
+            begun: what is carried out from the initial state on; by default what the policy does there.
         """
         if any(untold(problem, bindings, bindings.assumed)):
             return None
@@ -127,8 +127,8 @@ class PolicyChain:
         found: list[Stretch] = []
         for state in states:
             plan = None if begun else policy.stretch(state)
-            graph = begun.graph if begun else stretch_graph(problem_now(problem, state), plan) if plan else PlanGraph(())
-            calls = begun.calls if begun else odds_of_calls(graph, bindings, attempts)
+            graph = begun or (stretch_graph(problem_now(problem, state), plan) if plan else PlanGraph(()))
+            calls = odds_of_calls(graph, bindings, attempts)
             if calls is None or len(states) > most:
                 return None
             then = {} if graph.calls else {"": _NOWHERE}
@@ -142,7 +142,7 @@ class PolicyChain:
                 except NotApplicable:
                     return None
                 then[way.name] = number(walk.state)
-            found.append(Stretch(graph, calls, then, begun.began if begun else 0.0))
+            found.append(Stretch(graph, calls, then))
             begun = None
         return PolicyChain(tuple(found))
 
@@ -278,22 +278,29 @@ class RestOfPlan:
 
         return tuple(map(left_of, found))
 
-    def odds(self, known: KnownRobots, policy: Policy | None = None, began: Problem | None = None) -> GoalOdds | None:
-        """Return the odds of what is left of its plan, and of what its policy has after it; None if there are none.
+    def chain(self, known: KnownRobots, policy: Policy, began: Problem) -> PolicyChain | None:
+        """Return the chain of its plan and of what its policy has after it, however far it has come; None as for `PolicyChain.of`.
 
         Args:
-            policy: says what follows where its last call has several outcomes.
             began: the problem from the state in which the run began.
+        """
+        return PolicyChain.of(began, policy, self.bindings, self.attempts(known), begun=self.graph)
+
+    def odds(self, known: KnownRobots, chain: PolicyChain | None = None) -> GoalOdds | None:
+        """Return the odds of what is left of its plan, and of what follows it; None if there are none.
+
+        Args:
+            chain: says what follows where its last call has several outcomes.
         """
         calls = self.calls(known)
         if calls is None:
             return None
         begun = Stretch(self.graph, calls, began=self.origin - self.now)
         if any(call.call.action.outcomes for call in calls):
-            if policy is None or began is None or not any(call.call.action.outcomes for call in begun.left):
+            if chain is None or not any(call.call.action.outcomes for call in begun.left):
                 return None  # it is not known what follows, or not yet how it has turned out
-            chain = PolicyChain.of(began, policy, self.bindings, self.attempts(known), begun=begun)
-            return GoalOdds(chain.odds(), None, chain.calls) if chain else None
+            chain = PolicyChain((replace(begun, then=chain.stretches[0].then), *chain.stretches[1:]))
+            return GoalOdds(chain.odds(), None, chain.calls)
         chance = prod(call.chance() for call in begun.left)
         lasts = tuple(sorted(times(self.graph, calls, _draws(len(begun.left)), begun.began))) if chance else ()
         return GoalOdds(Odds(chance, (chance, chance), lasts), None, begun.left)

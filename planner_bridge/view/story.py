@@ -127,11 +127,14 @@ class Story(JournalHistory):
         if run is None or run.is_over:
             return None
         rest, note = RestOfPlan.of(run.executed().run, run.time), task.policy
-        problem = note.problem if note and run.record else None  # else nobody knows any more what was so when it was made
+
+        def follows() -> Thing:
+            problem = note.problem if note and run.record else None  # else nobody knows any more what was so when it was made
+            policy = note.policy(problem) if note and problem else None
+            return {"chain": policy and rest.chain(self._robots, policy, problem_now(policy.problem, run.state))}
 
         def told() -> Thing:
-            policy, began = (note.policy(problem), problem_now(problem, run.state)) if note and problem else (None, None)
-            odds = rest.odds(self._robots, policy, began)
+            odds = rest.odds(self._robots, self.once(f"chain of {run.id.hex}", note, follows)["chain"])
             told = odds.told if odds else None
             return {"at": rest.now, "words": percent(told.chance), **told.as_json()} if told else {}
 

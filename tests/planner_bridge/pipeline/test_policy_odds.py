@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from math import sqrt
 
 import pytest
@@ -81,13 +82,14 @@ def test_what_is_left_of_a_stretch_comes_before_what_the_policy_has_after_it() -
         (CallResult(call, CallOutcome.RUNNING, 1, 4.0), 0.96),
         (CallResult(call, CallOutcome.RUNNING, 2, 4.0), 0.8),
     ):
-        odds = RestOfPlan(graph, twice, {0: result}, {}, 0.0, 5.0).odds(known, policy, problem)
+        rest = RestOfPlan(graph, twice, {0: result}, {}, 0.0, 5.0)
+        odds = rest.odds(known, rest.chain(known, policy, problem))
         assert odds is not None
         assert odds.told is not None
         assert odds.told.chance == pytest.approx(first * (0.25 + 0.75 * whole))
         assert odds.told.rests == "declared: knock; declared outcomes: knock"
     over = CallResult(call, CallOutcome.SUCCEEDED, 1, 4.0, 5.0, declared="1")
-    assert RestOfPlan(graph, twice, {0: over}, {}, 0.0, 5.0).odds(known, policy, problem) is None
+    assert replace(rest, results={0: over}).odds(known, rest.chain(known, policy, problem)) is None
 
 
 def test_exact_odds_are_those_of_runs_of_the_machine() -> None:

@@ -13,10 +13,12 @@ from playwright.sync_api import Browser, expect
 from planner_bridge.model.rates import Call, Counts, End, Rates, Times
 from planner_bridge.pipeline.achieve import achieve
 from planner_bridge.pipeline.odds import KnownRobots
+from planner_bridge.pipeline.policy_odds import RestOfPlan
 from planner_bridge.view.follow import Reader
 from planner_bridge.view.serving import PageProcess
 from planner_bridge.view.story import Thing, view_of
 from pnm.actions.faults import Faults
+from pnm.core.machine.plan_graph import PlanGraph
 from tests.support.e2e.page.browser import browser
 from tests.support.e2e.page.journals import GrowingJournal, steps
 from tests.support.e2e.page.serving import asked, page_of
@@ -70,13 +72,15 @@ def test_who_looks_at_one_record_sees_the_same_odds(told: dict[int, Thing], deli
         assert next(iter(view.tasks.values()))["odds"] == told[number]["odds"]
 
 
-def test_odds_count_with_what_the_policy_has_after_each_outcome(tmp_path: Path) -> None:
-    place = tmp_path / "journal"
+def test_odds_count_with_what_the_policy_has_after_each_outcome(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    place, looked, chain = tmp_path / "journal", list[PlanGraph](), RestOfPlan.chain
+    monkeypatch.setattr(RestOfPlan, "chain", lambda rest, *more: looked.append(rest.graph) or chain(rest, *more))
     assert achieve(None, RIVER, faults=Faults(drawn=to_the_island), journal=place).goal_reached
     reader = Reader(place, NEVER_FAILS)
     views = (reader.at(step.number, view_of) for step in steps(place))
     odds = (task["odds"] for view in views if view for task in view.tasks.values())
     assert [*dict.fromkeys(round(one["chance"], 6) for one in odds if one)] == [0.65, 0.8]
+    assert len(looked) == 2, "a policy is looked at once for each stretch"
 
 
 def test_where_nothing_is_known_there_are_no_odds(delivery: Path) -> None:
