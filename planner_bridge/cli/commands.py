@@ -123,9 +123,8 @@ def plan(
         from planner_bridge.tasks.settings import DEFAULTS, Settings
         from pnm.actions.faults import NO_FAULTS
 
-        odds = odds_of_goal(
-            loaded, result.plan, Settings(bindings=bound or DEFAULTS.bindings), NO_FAULTS, learned, policy=result.policy, seconds=0.0
-        )
+        settings = Settings(bindings=bound or DEFAULTS.bindings, learned=learned)
+        odds = odds_of_goal(loaded, result.plan, settings, NO_FAULTS, policy=result.policy, seconds=0.0)
     if as_json:
         steps = [
             {"action": step.action, "arguments": [*step.arguments], "start": round(step.start, 6), "duration": round(step.duration, 6)}

@@ -55,9 +55,9 @@ def odds(
     chosen = options.chosen_files(domain, problem, plan_file)
     settings = Settings(planner, planner_timeout, limits=replace(DEFAULTS.limits, replans=replans))
     if isinstance(chosen, Path):
-        settings = replace(settings, bindings=bindings_for(None, bindings, None))
+        settings = replace(settings, bindings=bindings_for(None, bindings, None), learned=rates_for(None, rates))
         known, parameters = options.faults_in(faults, None), options.plan_parameters(given)
-        found = odds_of_plan(chosen, name, parameters, settings, known, rates_for(None, rates), seconds=seconds)
+        found = odds_of_plan(chosen, name, parameters, settings, known, seconds=seconds)
     else:
         if name or given:
             raise InputError("--name and --set belong to hand-written plans; expected --plan and a file")
@@ -67,8 +67,9 @@ def odds(
             if as_json:
                 options.print_json({"chance": None, "alone": None, "with_new_plans": None, "reason": result.reason})
             return 1
-        settings, known = replace(settings, bindings=bound or DEFAULTS.bindings), options.faults_in(faults, loaded.vocabulary)
-        found = odds_of_goal(loaded, result.plan, settings, known, learned or DEFAULTS.learned, policy=result.policy, seconds=seconds)
+        settings = replace(settings, bindings=bound or DEFAULTS.bindings, learned=learned or DEFAULTS.learned)
+        known = options.faults_in(faults, loaded.vocabulary)
+        found = odds_of_goal(loaded, result.plan, settings, known, policy=result.policy, seconds=seconds)
     if as_json:
         options.print_json(found.as_json())
     else:

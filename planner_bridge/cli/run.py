@@ -160,7 +160,7 @@ def run(
             if least is not None:
                 from planner_bridge.pipeline.roll_outs import odds_of_plan
 
-                odds = odds_of_plan(chosen, name, parameters, settings, going_wrong, rates_for(None, rates))
+                odds = odds_of_plan(chosen, name, parameters, replace(settings, learned=rates_for(None, rates)), going_wrong)
                 if refusal := odds.refusal(least):
                     raise PnmError(f"the plan is not begun: {refusal}")
             begin = partial(
@@ -185,7 +185,7 @@ def run(
                 if least is not None or (output is not Output.ENDING and (known, going_wrong) != (DEFAULTS.learned, NO_FAULTS)):
                     from planner_bridge.pipeline.roll_outs import VettedPlan
 
-                    vetted = VettedPlan(settings, going_wrong, known, least)
+                    vetted = VettedPlan(settings, going_wrong, least)
                     settings = replace(settings, memory=vetted)
                 begin = partial(achieve, None, loaded, faults=going_wrong, stopwatch=stopwatch)
         with observed(output, console, settings, actions, page, vetted) as observer:

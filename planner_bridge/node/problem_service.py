@@ -163,10 +163,10 @@ class ServedProblem:
                     )
                     for number, step in enumerate(result.plan.steps)
                 )
-                rates, odds = settings.learned, None
-                if with_new_plans or KnownRobots(rates):
+                odds = None
+                if with_new_plans or KnownRobots(settings.learned):
                     limit = SECONDS if with_new_plans else 0.0
-                    odds = odds_of_goal(problem, result.plan, settings, NO_FAULTS, rates, policy=result.policy, seconds=limit).told
+                    odds = odds_of_goal(problem, result.plan, settings, NO_FAULTS, policy=result.policy, seconds=limit).told
                 return MadePlan(Code.GOAL_REACHED, f"found by {result.planner}", str(problem.goal), steps, odds)
 
             try:

@@ -14,7 +14,6 @@ from typing import Final
 from planner_bridge.model.grounding import initial_knowledge
 from planner_bridge.model.plan import Plan, PlanningResult, PlanningStatus, Policy
 from planner_bridge.model.problem import Domain, Problem
-from planner_bridge.model.rates import NO_RATES, Rates
 from planner_bridge.model.world import simulated_backend
 from planner_bridge.ordering.plan_to_graph import plan_graph
 from planner_bridge.pipeline.carry_out import carry_out
@@ -43,7 +42,6 @@ def odds_of_goal(
     plan: Plan,
     settings: Settings,
     faults: Faults,
-    rates: Rates = NO_RATES,
     *,
     policy: Policy | None = None,
     seconds: float = SECONDS,
@@ -54,12 +52,12 @@ def odds_of_goal(
     What follows the outcomes of actions that have several is as their policy says.
 
     Args:
-        faults: of simulated robots, which declare the chances of attempts; without any, these are learned or assumed.
+        faults: of simulated robots, which declare the chances of attempts; without any, these are learned, as the settings say, or assumed.
         seconds: of the processor for roll-outs; 0 for none.
         most: roll-outs.
     """
     bindings, graph = settings.bindings, plan_graph(problem, plan)
-    known = KnownRobots(rates, faults)
+    known = KnownRobots(settings.learned, faults)
     attempts = known.attempts(bindings, is_timed=problem.is_timed)
     calls = odds_of_calls(graph, bindings, attempts)
     alone = None if calls is None else exact(graph, calls, initial_knowledge(problem))
@@ -96,14 +94,13 @@ def odds_of_plan(
     parameters: Mapping[str, object],
     settings: Settings,
     faults: Faults,
-    rates: Rates = NO_RATES,
     *,
     seconds: float = SECONDS,
 ) -> GoalOdds:
     """Return the odds of a hand-written plan; people who are asked something do not answer. The rest is as in `odds_of_goal`."""
     plans = read_plans(file)
     plan = plans[chosen_plan(plans, name)]
-    bindings, known = settings.bindings.before(plan.bindings), KnownRobots(rates, faults)
+    bindings, known = settings.bindings.before(plan.bindings), KnownRobots(settings.learned, faults)
     attempts = known.attempts(bindings, is_timed=False)
     calls = odds_of_calls(plan.graph, bindings, attempts)
     alone = None if calls is None else exact(plan.graph, calls, initial_knowledge(plan))
@@ -191,10 +188,9 @@ class VettedPlan(Memory):
         least: the least chance with which it begins; None for any, and then there are no roll-outs.
     """
 
-    def __init__(self, settings: Settings, faults: Faults, rates: Rates, least: float | None) -> None:
+    def __init__(self, settings: Settings, faults: Faults, least: float | None) -> None:
         self._settings = settings
         self._faults = faults
-        self._rates = rates
         self._least = least
         self.odds: GoalOdds | None = None
 
@@ -204,7 +200,7 @@ class VettedPlan(Memory):
         if result.plan is None or self.odds is not None:
             return result
         seconds = 0.0 if self._least is None else SECONDS
-        odds = odds_of_goal(problem, result.plan, self._settings, self._faults, self._rates, policy=result.policy, seconds=seconds)
+        odds = odds_of_goal(problem, result.plan, self._settings, self._faults, policy=result.policy, seconds=seconds)
         if self._least is not None and (refusal := odds.refusal(self._least)):
             message = f"one was found, and is not begun: {refusal}"
             return PlanningResult(PlanningStatus.NO_PLAN, message=message, planner=result.planner)

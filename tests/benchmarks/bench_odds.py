@@ -82,8 +82,8 @@ def forecast(given: Scene, random: Random, seconds: float) -> Forecast | None:
     """Return the forecast of a run; None if there was no time for one."""
     found, chosen = solve(given.problem, improve=0.0).plan, settings(given.problem, random)
     assert found is not None
-    known = (given.faults, NO_RATES) if given.rates is None else (NO_FAULTS, given.rates)
-    odds = odds_of_goal(given.problem, found, chosen, *known, seconds=seconds).best
+    chosen, known = replace(chosen, learned=given.rates or NO_RATES), given.faults if given.rates is None else NO_FAULTS
+    odds = odds_of_goal(given.problem, found, chosen, known, seconds=seconds).best
     if odds is None:
         return None
     result = achieve(None, given.problem, faults=replace(given.faults, seed=random.randint(_LATER, 2 * _LATER)), settings=chosen)

@@ -16,7 +16,7 @@ from planner_bridge.planning.solve import solve
 from planner_bridge.tasks.settings import Settings
 from pnm.actions.faults import NO_FAULTS, Fault, Faults
 from pnm.core.machine.bindings import Bindings
-from tests.support.e2e.command_line import pnm
+from tests.support.e2e.command_line import pnm, result as result_of
 from tests.support.files import written
 
 SNATCH = "(:action snatch :precondition (free) :effect (and (not (free)) (oneof (held) (broken))))"
@@ -49,7 +49,7 @@ def test_a_policy_takes_the_way_that_has_turned_out_well(tmp_path: Path) -> None
         assert result.policy is not None
         assert result.plan.steps[0].action == first
         assert result.policy.chance == pytest.approx(chance)
-    odds = odds_of_goal(cup(), result.plan, Settings(), NO_FAULTS, rates, policy=result.policy, seconds=600.0, most=150)
+    odds = odds_of_goal(cup(), result.plan, Settings(learned=rates), NO_FAULTS, policy=result.policy, seconds=600.0, most=150)
     assert odds.alone is not None
     assert odds.rolled is not None
     assert odds.alone.chance == pytest.approx(0.85, abs=0.01)
@@ -74,3 +74,14 @@ def test_commands_count_outcomes_and_say_what_chances_rest_on(tmp_path: Path) ->
     assert 'outcomes: {"1": 3}' in rates
     assert "reaches the goal with a chance of 87.5%" in pnm("plan", domain, problem).stdout
     assert "chances  outcomes learned from 3 of snatch: snatch\n" in pnm("odds", domain, problem, "--replans", "0").stdout
+
+
+def test_new_plans_in_roll_outs_count_with_what_was_learned_as_those_of_runs_do(tmp_path: Path) -> None:
+    ask = "(:action ask :precondition (free) :effect (and (not (free)) (held)))"
+    never, always = Counts.of(End.ABORTED_FOR_GOOD, 1.0), Counts.of(End.SUCCEEDED, 1.0, "1")
+    rates = NO_RATES.grown("j", 1, [*[(Call("ask", "ask"), never)] * 60, *[(Call("snatch", "snatch"), always)] * 60])
+    texts = {"domain.pddl": DOMAIN.replace(GRAB, GRAB + ask), "problem.pddl": PROBLEM, "rates.yaml": rates.text()}
+    domain, problem, _ = (str(written(tmp_path / name, text)) for name, text in texts.items())
+    found = result_of(pnm("odds", domain, problem, "--json"))
+    assert found["alone"]["chance"] < 0.1
+    assert found["with_new_plans"]["chance"] > 0.85, "to snatch, and not to grab with 0.7"

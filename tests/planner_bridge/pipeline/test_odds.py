@@ -229,7 +229,7 @@ def test_attempts_that_fail_use_up_as_much_as_those_that_succeed() -> None:
     problem, known = parse_problem(text, parse_domain(CART)), {End.SUCCEEDED: 200, End.ABORTED: 200}
     rates = Rates({Call("go", "go"): Counts(known, Times({35: 200}, 400_000), Times({35: 200}, 400_000))})
     chosen = Settings(improve=0.0, bindings=Bindings({"go": Binding(retries=8)}))
-    odds = odds_of_goal(problem, plan_of(problem), chosen, NO_FAULTS, rates, seconds=600.0, most=60).rolled
+    odds = odds_of_goal(problem, plan_of(problem), replace(chosen, learned=rates), NO_FAULTS, seconds=600.0, most=60).rolled
     assert odds is not None
     left = odds.numbers["charge",]
     assert len({*left}) > 5
