@@ -371,9 +371,11 @@ class Search:
         }
         for values in (risk, expected):
             _solve(rows, values)
+        # what is not solved to the end must not look better than the way out, or it would be preferred to it, for good
+        least = min(entry.risk for found in ends.values() for _, entry in found)
         for state in component:
-            need = self.task.closed(self.task.rules.stored(needs[state], state))
-            entry = SettledPart(round(risk[state], 6), expected[state], distance[state], need, len(self.entries), actions[state])
+            need, its = self.task.closed(self.task.rules.stored(needs[state], state)), max(least, round(risk[state], 6))
+            entry = SettledPart(its, expected[state], distance[state], need, len(self.entries), actions[state])
             if not any(entry.need.implies(other.need) for other in self.entries if other[:2] <= entry[:2]):
                 self.entries.append(entry)
         return True

@@ -59,6 +59,16 @@ def test_the_best_policy_is_found(seed: int) -> None:
         assert actions == pytest.approx(exact.fewest_actions, rel=0.01)
 
 
+def test_what_is_tried_for_long_does_not_look_better_than_what_it_is_tried_for() -> None:
+    domain = """(define (domain shelf) (:requirements :strips :probabilistic-effects) (:predicates (up) (down) (ready) (got))
+      (:action shake :precondition (up) :effect (and (not (up)) (down) (probabilistic 0.02 (ready))))
+      (:action lift :precondition (down) :effect (and (not (down)) (up)))
+      (:action take :precondition (ready) :effect (and (not (ready)) (not (up)) (not (down)) (probabilistic 0.461538 (got)))))"""
+    problem = parse_problem("(define (problem p) (:domain shelf) (:init (up)) (:goal (got)))", parse_domain(domain))
+    chance, _, _ = Exact(problem).played(found(problem))
+    assert chance == pytest.approx(0.461538, abs=1e-5)
+
+
 def test_the_short_way_is_not_taken_where_it_may_have_no_way_out() -> None:
     problem = tires()
     policy = found(problem)
