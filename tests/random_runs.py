@@ -2,10 +2,11 @@
 
 usage: python -m tests.random_runs [--seeds 500] [--first 0] [--jobs 2] [--keep FOLDER] [KIND ...]
 
-Kinds are scenarios, holds, deaths, mutants, forgotten, reference, values and visitors. The same number is the same run. Without a
-kind, all are run: as many scenarios, holds, deaths and machines as there are seeds, six mutants of every machine, all of them without
-each trait of calls that templates could forget, as many machines held against the reference, and as many against runs that are made
-from their values, and a visitor for every tenth. The exit status is 1 if anything is wrong; every failure is printed with its number.
+Kinds are scenarios, holds, deaths, chances, mutants, policies, forgotten, reference, values and visitors. The same number is the same
+run. Without a kind, all are run: as many scenarios, holds, deaths, problems of several outcomes and machines as there are seeds, six
+mutants of every machine, policies of as many problems and eight mutants of each and of its net, all machines without each trait of calls
+that templates could forget, as many held against the reference, and as many against runs that are made from their values, and a visitor
+for every tenth. The exit status is 1 if anything is wrong; every failure is printed with its number.
 """
 
 from __future__ import annotations
@@ -29,11 +30,14 @@ from tests.support.processes import ros_domain
 from tests.support.runs.held_run import hold_against_reference, hold_against_values
 from tests.support.runs.mutation.forgotten import TRAITS, run_forgotten
 from tests.support.runs.mutation.gate import run_gate
+from tests.support.runs.mutation.policies import run_policy_gate
+from tests.support.tasks.scenarios.random_chances import run_chances
 from tests.support.tasks.scenarios.random_deaths import run_deaths
 from tests.support.tasks.scenarios.random_holds import run_holds
 from tests.support.tasks.scenarios.random_scenarios import run_scenario
 
-KINDS = ("scenarios", "holds", "deaths", "mutants", "forgotten", "reference", "values", "visitors")
+KINDS = ("scenarios", "holds", "deaths", "chances", "mutants", "policies", "forgotten", "reference", "values", "visitors")
+GATES = {"mutants": run_gate, "policies": run_policy_gate}
 TOO_LONG = 600
 
 
@@ -53,7 +57,7 @@ def failure_of(kind: str, number: int) -> str:
                 hold_against_values(number)
             case _:
                 with tempfile.TemporaryDirectory() as folder:
-                    run_deaths(number, Path(folder))
+                    (run_chances if kind == "chances" else run_deaths)(number, Path(folder))
     except (Exception, KeyboardInterrupt):
         return f"{kind} {number}\n{traceback.format_exc()}"
     finally:
@@ -67,21 +71,21 @@ def scenarios(kind: str, numbers: range, jobs: int) -> Iterator[str]:
         yield from filter(None, pool.map(partial(failure_of, kind), numbers, chunksize=5))
 
 
-def false_accepts(numbers: range) -> tuple[Counter[str], list[str]]:
-    """Prove and execute a few machines and their mutants; return the verdicts, and what was accepted and went wrong."""
-    report = run_gate(numbers)
+def false_accepts(kind: str, numbers: range) -> tuple[Counter[str], list[str]]:
+    """Prove and execute a few machines, or policies, and their mutants; return the verdicts, and what was accepted and went wrong."""
+    report = GATES[kind](numbers)
     return report.verdicts, report.false_accepts
 
 
-def mutants(numbers: range, jobs: int) -> Iterator[str]:
-    """Put machines through the mutation gate, several at a time; yield what was accepted falsely."""
+def mutants(kind: str, numbers: range, jobs: int) -> Iterator[str]:
+    """Put machines, or policies, through the mutation gate, several at a time; yield what was accepted falsely."""
     verdicts = Counter[str]()
     with ProcessPoolExecutor(jobs) as pool:
         parts = [numbers[first : first + 20] for first in range(0, len(numbers), 20)]
-        for counted, wrong in pool.map(false_accepts, parts):
+        for counted, wrong in pool.map(partial(false_accepts, kind), parts):
             verdicts += counted
             yield from wrong
-    print(f"mutants: {', '.join(f'{count} {verdict}' for verdict, count in sorted(verdicts.items()))}")
+    print(f"{kind}: {', '.join(f'{count} {verdict}' for verdict, count in sorted(verdicts.items()))}")
 
 
 def forgotten(numbers: range, jobs: int) -> Iterator[str]:
@@ -110,10 +114,10 @@ def visitors(numbers: range, keep: Path | None) -> Iterator[str]:
 
 def failures_of(kind: str, numbers: range, jobs: int, keep: Path | None) -> Iterator[str]:
     match kind:
-        case "scenarios" | "holds" | "deaths" | "reference" | "values":
+        case "scenarios" | "holds" | "deaths" | "chances" | "reference" | "values":
             return scenarios(kind, numbers, jobs)
-        case "mutants":
-            return mutants(numbers, jobs)
+        case "mutants" | "policies":
+            return mutants(kind, numbers, jobs)
         case "forgotten":
             return forgotten(numbers, jobs)
         case _:
@@ -128,7 +132,7 @@ def main() -> int:
         nargs="*",
         choices=[*KINDS, []],
         metavar="KIND",
-        help="scenarios, holds, deaths, mutants, forgotten, reference, values or visitors; all without one",
+        help=f"{', '.join(KINDS)}; all without one",
     )
     parser.add_argument("--seeds", type=int, default=500, help="how many of each; visitors are a tenth if not alone")
     parser.add_argument("--first", type=int, default=0, help="the number of the first one")

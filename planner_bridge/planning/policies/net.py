@@ -12,7 +12,7 @@ The pictures leave failure out: for Graphviz, and as SVG with a line for each st
 from __future__ import annotations
 
 import json
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Final, NamedTuple
@@ -40,6 +40,13 @@ class PolicyWay(NamedTuple):
     chance: float | None
     then: tuple[int, ...]
     """The steps to which the outcome may lead, by number, those of other transitions included."""
+
+    @staticmethod
+    def all_from(step: Step) -> Iterator[PolicyWay]:
+        """Yield the ways on from a step: its outcomes, and its failure."""
+        for one in step.branches:
+            yield PolicyWay(step, one.outcome if len(step.branches) > 1 else "done", one.chance, one.then)
+        yield PolicyWay(step, "", None, (FAILURE,))
 
 
 @dataclass(frozen=True)
@@ -70,14 +77,11 @@ class PolicyNet:
         for place in self.places.values():
             builder.place(place)
         for step in self.steps:
-            for number, one in enumerate(step.branches, 1):
-                outcome = one.outcome if len(step.branches) > 1 else "done"
-                for then in one.then:
-                    to = f" -> {_NAMES.get(then, f'#{then}')}" if len(one.then) > 1 else ""
-                    name = builder.transition(f"#{step.number}.{number} {outcome}{to}", [self.places[step.number]], [self.places[then]])
-                    ways[name] = PolicyWay(step, outcome, one.chance, one.then)
-            name = builder.transition(f"#{step.number} fails", [self.places[step.number]], [self.places[FAILURE]])
-            ways[name] = PolicyWay(step, "", None, (FAILURE,))
+            for number, way in enumerate(PolicyWay.all_from(step), 1):
+                for then in way.then:
+                    to = f" -> {_NAMES.get(then, f'#{then}')}" if len(way.then) > 1 else ""
+                    title = f"#{step.number}.{number} {way.outcome}{to}" if way.outcome else f"#{step.number} fails"
+                    ways[builder.transition(title, [self.places[step.number]], [self.places[then]])] = way
         return builder.build(), ways
 
     @property
@@ -105,19 +109,27 @@ class PolicyNet:
         return found
 
     def unproved(self, ends: Collection[int]) -> str:
-        """Return why it may go on for ever without luck running out, or stop elsewhere than at these ends; empty if it does not."""
-        distances = self.distances(end for end in ends if end != FAILURE)
+        """Return why it may go on for ever without luck running out, or stop elsewhere than at these ends; empty if it does not.
+
+        No call fails if failure is none of them.
+        """
+        net, places, distances = self.net, self.places, self.distances(end for end in ends if end != FAILURE)
+        ways = [way for step in self.steps for way in PolicyWay.all_from(step)]
+        needed = {(way, (places[way.step.number], 1), (places[then], 1)) for way in ways for then in way.then}
+        if needed ^ {(way, *net.inputs[name].items(), *net.outputs[name].items()) for name, way in self.ways.items()}:
+            return "the net is not that of its steps"
 
         def comes_nearer(way: PolicyWay) -> bool:
             return all(number in distances and distances[number] < distances.get(way.step.number, 0) for number in way.then)
 
         steps = tuple(
-            PartStep(name, Inside(), self.net.inputs[name], self.net.outputs[name], counted=None if comes_nearer(way) else _LUCK)
+            PartStep(name, Inside(), net.inputs[name], net.outputs[name], counted=None if comes_nearer(way) else _LUCK)
             for name, way in self.ways.items()
+            if way.outcome or FAILURE in ends
         )
-        finals = frozenset(self.places[end] for end in ends if end in self.places)
+        finals = frozenset(places[end] for end in ends if end in places)
         try:
-            explore_part(Part(places=tuple(self.net.places), steps=steps, initial=self.initial, finals=finals))
+            explore_part(Part(places=tuple(net.places), steps=steps, initial=self.initial, finals=finals))
         except Unsound as error:
             return str(error)
         return ""
@@ -125,7 +137,7 @@ class PolicyNet:
     @cached_property
     def is_sure(self) -> bool:
         """Whether it ends in the goal if no call fails and every outcome comes up sooner or later."""
-        return NO_WAY_OUT not in self.places and not self.unproved((GOAL, FAILURE))
+        return NO_WAY_OUT not in self.places and not self.unproved((GOAL,)) and not self.unproved((GOAL, FAILURE))
 
     @cached_property
     def claim(self) -> str:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 import time
 import weakref
-from collections.abc import Callable, Generator, Iterator, Mapping
+from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cached_property, partial
@@ -22,7 +22,7 @@ from planner_bridge.planning.kairos import LONGEST, SHARE
 from planner_bridge.planning.policies.chance import improve, take_chances
 from planner_bridge.planning.policies.encoding import OutcomePlanner
 from planner_bridge.planning.policies.grounding import Chances, Seconds, policy_task
-from planner_bridge.planning.policies.numbers import ANY_NUMBER
+from planner_bridge.planning.policies.numbers import ANY_NUMBER, Scale
 from planner_bridge.planning.policies.proof import unproved
 from planner_bridge.planning.policies.search import Interrupted, Search
 from planner_bridge.planning.policies.steps import MOST, Step, policy_steps
@@ -346,10 +346,12 @@ def _policy(problem: Problem, search: Search) -> Policy:
         if action is not None
     )
     certain = [entry for entry in entries if entry.chance == 1.0]
-    sides = product((True, False), repeat=2) if task.scales else [(False, False)]  # what never comes about may leave a range
-    ends = (
-        {scale.fluent: (scale.ends[0] if low else -inf, scale.ends[1] if high else inf) for scale in task.scales} for low, high in sides
-    )
-    is_proved = not first.risk and not all(unproved(problem, certain, initial_knowledge(problem), one) for one in ends)
     steps = partial(policy_steps, task, ranked)
-    return Policy(problem, entries, 1.0 - first.risk, is_proved, steps, task.measure)
+    return Policy(problem, entries, 1.0 - first.risk, not first.risk and is_proved(problem, certain, task.scales), steps, task.measure)
+
+
+def is_proved(problem: Problem, entries: Sequence[PolicyEntry], scales: Sequence[Scale]) -> bool:
+    """Whether entries are proved to reach the goal, with numbers that stay in the ranges of their scales or not."""
+    sides = product((True, False), repeat=2) if scales else [(False, False)]  # what never comes about may leave a range
+    ends = ({scale.fluent: (scale.ends[0] if low else -inf, scale.ends[1] if high else inf) for scale in scales} for low, high in sides)
+    return not all(unproved(problem, entries, initial_knowledge(problem), one) for one in ends)

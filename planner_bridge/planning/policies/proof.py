@@ -7,8 +7,9 @@ entry names, and of numbers the ranges that it gives; derived facts are those th
 2. Each of its outcomes leads to the goal, or to where some entry fits.
 3. One of them leads to the goal, or to an entry with a smaller expected cost.
 
-By the third, the first entry that fits has a way on which the expected cost becomes smaller and smaller, and there are finitely many
-entries; by the second, whatever happens instead, there is such a way again. How the policy was found does not matter.
+Entries stand in the order of their expected costs, so that the first one that fits, which counts, has the least. By the third, it has a
+way on which that becomes smaller and smaller, and there are finitely many entries; by the second, whatever happens instead, there is such
+a way again. How the policy was found does not matter.
 """
 
 from __future__ import annotations
@@ -149,6 +150,8 @@ def unproved(problem: Problem, rules: Sequence[PolicyRule], initial: KnowledgeBa
         return "there is no entry for the initial state"
     for number, rule in enumerate(rules, 1):
         about = f"entry {number}, {rule.action}({', '.join(rule.arguments)})"
+        if rule.expected < rules[max(number - 2, 0)].expected:
+            return f"{about}: the entry before it counts first, and costs more"
         duration = modelled_duration(domain.actions[rule.action], rule.arguments, initial)
         action = ground_step(domain, rule.action, rule.arguments, duration, "", problem.members)
         numbers = dict(rule.numbers)

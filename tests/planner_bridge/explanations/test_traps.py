@@ -14,7 +14,7 @@ from planner_bridge.model.plan import PlanStep
 from planner_bridge.model.problem import Problem
 from planner_bridge.pddl.reader import parse_domain, parse_problem
 from planner_bridge.planning.policies.policy import policies
-from tests.support.pddl.chance import Exact, texts
+from tests.support.pddl.chance import Exact, random_problem
 
 TIRES = parse_domain("""
 (define (domain tires) (:requirements :typing :non-deterministic) (:types place)
@@ -65,8 +65,7 @@ def test_what_the_policy_risks_itself_is_no_reason() -> None:
 @settings(max_examples=100)
 @given(st.integers(0, 10**9))
 def test_what_is_said_to_have_no_way_out_has_none(seed: int) -> None:
-    domain, of_problem = texts(seed)
-    problem = parse_problem(of_problem, parse_domain(domain))
+    problem = random_problem(seed)
     *_, best = [None, *policies(problem, 60.0)]
     plan = best and best.plan(initial_knowledge(problem))
     if plan and (answer := why_not_short(problem, plan, AnswerLimit.of(60.0))):

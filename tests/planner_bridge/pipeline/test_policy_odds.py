@@ -24,7 +24,7 @@ from pnm.actions.faults import Fault, FaultKind, Faults
 from pnm.core.execution.call_results import CallResult
 from pnm.core.machine.bindings import Binding, Bindings
 from pnm.core.machine.requests import CallOutcome
-from tests.support.pddl.chance import Exact, texts
+from tests.support.pddl.chance import Exact, random_problem
 
 ABORTS = Fault("knock", FaultKind.ABORT, chance=0.2)
 ONCE = Bindings({"knock": Binding(retries=0)})
@@ -116,8 +116,7 @@ def test_outcomes_that_nothing_tells_apart_have_no_exact_odds() -> None:
 @settings(max_examples=30, deadline=None)
 @given(st.integers(0, 10**9))
 def test_chances_and_actions_are_those_of_an_independent_solution(seed: int) -> None:
-    domain, of_problem = texts(seed)
-    problem = parse_problem(of_problem, parse_domain(domain))
+    problem = random_problem(seed)
     for policy in policies(problem, 5.0):
         odds = exact(problem, policy, Fault("none", FaultKind.ABORT))
         assert odds is not None

@@ -4,14 +4,17 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import product
+from itertools import chain, count, product
 from random import Random
 
+import pytest
+
 from planner_bridge.model.grounding import ground_step, initial_knowledge
-from planner_bridge.model.plan import Policy
 from planner_bridge.model.problem import Problem
 from planner_bridge.pddl import parse_domain, parse_problem
 from planner_bridge.pipeline.odds import KnownRobots
+from planner_bridge.planning.policies.policy import Policy, policies
+from planner_bridge.planning.policies.proof import unproved
 from pnm.actions.faults import Fault, FaultKind, Faults
 from pnm.core.knowledge_base import KnowledgeBase
 from pnm.core.logic.conditions import evaluate
@@ -121,6 +124,23 @@ def texts(seed: int, *, counts: bool = False, derives: bool = False) -> tuple[st
     return DOMAIN.format(rules=rules, actions="\n  ".join(actions)), PROBLEM.format(init=" ".join(init), goal=" ".join(goal))
 
 
+def random_problem(seed: int, *, counts: bool = False, derives: bool = False) -> Problem:
+    """Return the problem of these texts."""
+    domain, problem = texts(seed, counts=counts, derives=derives)
+    return parse_problem(problem, parse_domain(domain))
+
+
+def uncertain_problem(number: int, *, counts: bool = False) -> Problem:
+    """Return the first of many random problems whose goal can be reached, over an action that has several outcomes."""
+    return next(
+        problem
+        for seed in count(1_000 * number)
+        for problem in [random_problem(seed, counts=counts)]
+        for ways in [[way for every in Exact(problem).transitions.values() for way in every]]
+        if any(len(way) > 1 for way in ways) and any(map(Exact(problem).is_goal, chain.from_iterable(ways)))
+    )
+
+
 @dataclass(frozen=True)
 class Exact:
     """Every state that can be reached, and what may follow."""
@@ -221,22 +241,20 @@ class Exact:
                 break
         return values.get(self.initial, 1.0)
 
+    def chain(self, policy: Policy, *states: State) -> dict[State, dict[State, float]]:
+        """Return what may follow in every state that the policy leads to from these, but goals; nothing where it says nothing of use."""
+        found: dict[State, dict[State, float]] = {}
+        waiting = [*states]
+        for state in waiting:
+            if state not in found and not self.is_goal(state):
+                entry = policy.entry(self.knowledge(state))
+                found[state] = (entry and self.turn_outs(state, entry.action, entry.arguments)) or {}
+                waiting += found[state]
+        return found
+
     def played(self, policy: Policy) -> tuple[float, float, bool]:
         """Return the chance of the goal by the policy, its expected actions until it ends, and whether it ends nowhere but at the goal."""
-        chain: dict[State, dict[State, float]] = {}
-        waiting, stuck = [self.initial], False
-        while waiting:
-            state = waiting.pop()
-            if state in chain or self.is_goal(state):
-                continue
-            stretch = policy.stretch(self.knowledge(state))
-            if stretch is None:
-                chain[state], stuck = {}, True
-                continue
-            way = self.turn_outs(state, stretch.steps[0].action, stretch.steps[0].arguments)
-            assert way is not None, f"{stretch.steps[0]} can be used"
-            chain[state] = way
-            waiting += way
+        chain = self.chain(policy, self.initial)
         chances, costs = dict.fromkeys(chain, 0.0), dict.fromkeys(chain, 0.0)
         for _ in range(20_000):
             change = 0.0
@@ -247,4 +265,20 @@ class Exact:
                 chances[state], costs[state] = chance, cost
             if change < 1e-12:
                 break
-        return chances.get(self.initial, 1.0), costs.get(self.initial, 0.0), not stuck
+        return chances.get(self.initial, 1.0), costs.get(self.initial, 0.0), all(chain.values())
+
+
+def check_best_policy(seed: int, *, counts: bool = False, derives: bool = False) -> None:
+    """Check that of a random problem the best policy is found, and proved exactly if it reaches the goal for certain."""
+    problem = random_problem(seed, counts=counts, derives=derives)
+    exact, every = Exact(problem), [*policies(problem, 60.0)]
+    if not every:
+        assert exact.best_chance == 0.0
+        return
+    best = every[-1]
+    chance, actions, ends_at_goal = exact.played(best)
+    assert chance == pytest.approx(exact.best_chance, abs=1e-5)
+    assert chance == pytest.approx(best.chance, abs=1e-5)
+    assert ends_at_goal is best.is_proved is exact.has_strong_cyclic_policy, unproved(problem, best.entries, initial_knowledge(problem))
+    if best.is_proved and not counts and not derives:
+        assert actions == pytest.approx(exact.fewest_actions, rel=0.01)

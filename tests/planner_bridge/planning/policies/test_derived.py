@@ -15,7 +15,7 @@ from planner_bridge.planning.policies.task import Unsuitable
 from planner_bridge.tasks.settings import Settings
 from pnm.actions.faults import Faults
 from tests.support.files import ROOT
-from tests.support.pddl.chance import Exact, texts
+from tests.support.pddl.chance import check_best_policy
 
 OUTCOMES = {
     "(and (open ?hallway) (decrease (battery ?robot) (door_use)))": """(and (decrease (battery ?robot) (door_use))
@@ -61,18 +61,7 @@ def found(problem: Problem) -> Policy:
 @settings(max_examples=200)
 @given(st.integers(0, 10**9))
 def test_the_best_policy_is_found(seed: int) -> None:
-    domain, of_problem = texts(seed, derives=True)
-    problem = parse_problem(of_problem, parse_domain(domain))
-    exact = Exact(problem)
-    every = [*policies(problem, 60.0)]
-    if not every:
-        assert exact.best_chance == 0.0
-        return
-    best = every[-1]
-    chance, _, ends_at_goal = exact.played(best)
-    assert chance == pytest.approx(exact.best_chance, abs=1e-5)
-    assert chance == pytest.approx(best.chance, abs=1e-5)
-    assert ends_at_goal is best.is_proved is exact.has_strong_cyclic_policy, unproved(problem, best.entries, initial_knowledge(problem))
+    check_best_policy(seed, derives=True)
 
 
 CHARGED = "(and (at robot dumpster) (>= (battery robot) 20))"

@@ -11,16 +11,15 @@ from pathlib import Path
 import pytest
 from hypothesis import given, settings, strategies as st
 
-from planner_bridge.pddl.reader import parse_domain, parse_problem
 from planner_bridge.planning.policies import steps as steps_module
 from planner_bridge.planning.policies.net import FAILURE, PolicyNet, steps_dot, steps_svg
 from planner_bridge.planning.policies.policy import policies
 from planner_bridge.planning.policies.steps import GOAL, MOST, NO_WAY_OUT, Branch, Step
 from planner_bridge.planning.policies.task import PolicyAction
-from pnm.core.net.net import Marking, enabled, fire
+from pnm.core.net.net import Marking, PetriNet, enabled, fire
 from pnm.errors import InputError
 from tests.support.e2e.command_line import pnm
-from tests.support.pddl.chance import Exact, State, texts
+from tests.support.pddl.chance import Exact, State, random_problem
 
 TRIED = PolicyAction("try", (), (), ())
 
@@ -33,8 +32,7 @@ def net_of(*then: Sequence[int]) -> PolicyNet:
 @settings(max_examples=150)
 @given(st.integers(0, 10**9), st.sampled_from([5_000, 2]))
 def test_the_net_goes_where_the_policy_does(seed: int, states: int) -> None:
-    domain, of_problem = texts(seed)
-    problem = parse_problem(of_problem, parse_domain(domain))
+    problem = random_problem(seed)
     *_, best = [None, *policies(problem, 60.0)]
     if best is None:
         return
@@ -99,6 +97,19 @@ def test_what_depends_on_what_was_before_is_no_way_to_rely_on() -> None:
     net = PolicyNet([both])
     assert [*net.net.transitions] == ["#1.1 done -> goal", "#1.1 done -> #1", "#1 fails"]
     assert not net.is_sure
+
+
+def test_an_outcome_is_no_failure() -> None:
+    net = net_of((2, 1), (GOAL, FAILURE))
+    assert not net.unproved((GOAL, FAILURE))
+    assert not net.is_sure
+
+
+def test_a_net_is_that_of_its_steps() -> None:
+    net = net_of((2, 1), (GOAL, 1))
+    wrong = PetriNet(net.net.places, net.net.inputs, {**net.net.outputs, "#1.2 1": {"failure": 1}})
+    vars(net)["_built"] = wrong, net.ways
+    assert net.claim == "not proved: the net is not that of its steps"
 
 
 def test_a_net_has_so_many_steps_and_no_more() -> None:

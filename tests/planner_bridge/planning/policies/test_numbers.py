@@ -18,7 +18,7 @@ from planner_bridge.planning.policies.proof import unproved
 from planner_bridge.planning.policies.task import Unsuitable
 from planner_bridge.planning.solve import solve
 from pnm.core.machine.bindings import Binding, Bindings
-from tests.support.pddl.chance import Exact, texts
+from tests.support.pddl.chance import check_best_policy
 
 DOOR = """
 (define (domain door) (:requirements :typing :negative-preconditions :fluents :non-deterministic) (:types place)
@@ -58,19 +58,7 @@ def found(problem: Problem, seconds: Seconds | None = None) -> Policy:
 @settings(max_examples=50)
 @given(st.integers(0, 10**9))
 def test_the_best_policy_is_found(seed: int) -> None:
-    domain, of_problem = texts(seed, counts=True)
-    problem = parse_problem(of_problem, parse_domain(domain))
-    exact = Exact(problem)
-    every = [*policies(problem, 60.0)]
-    if not every:
-        assert exact.best_chance == 0.0
-        return
-    chance, _, ends_at_goal = exact.played(every[-1])
-    assert chance == pytest.approx(exact.best_chance, abs=1e-5)
-    assert chance == pytest.approx(every[-1].chance, abs=1e-5)
-    assert ends_at_goal is every[-1].is_proved is exact.has_strong_cyclic_policy, unproved(
-        problem, every[-1].entries, initial_knowledge(problem)
-    )
+    check_best_policy(seed, counts=True)
 
 
 def test_the_battery_is_charged_before_the_door_that_may_not_open() -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import partial
 from random import Random
 
 from pnm.core.machine.machine import PetriNetMachine
@@ -22,6 +23,13 @@ class GateReport:
     machines: int = 0
     verdicts: Counter[str] = field(default_factory=Counter)
     false_accepts: list[str] = field(default_factory=list)
+
+    def judge(self, about: str, is_accepted: bool, fault: Callable[[], str]) -> None:
+        """Count a verdict; what is accepted must go well."""
+        verdict, wrong = ("accepted", fault()) if is_accepted else ("refused", "")
+        self.verdicts[f"{verdict} falsely" if wrong else verdict] += 1
+        if wrong:
+            self.false_accepts.append(f"{about}: {wrong}")
 
 
 def is_proved(machine: PetriNetMachine, proof: Callable[[PetriNetMachine], object] = verify) -> bool:
@@ -49,13 +57,7 @@ def run_gate(numbers: range, mutants: int = 6, executions: int = 12) -> GateRepo
             except Exception as error:  # the proof must say what is wrong
                 report.false_accepts.append(f"machine {number}, mutant {count} ({name}): the proof raises {error!r}")
                 continue
-            if not accepted:
-                report.verdicts["refused"] += 1
-            elif fault := fault_of(broken, range(executions)):
-                report.verdicts["accepted falsely"] += 1
-                report.false_accepts.append(f"machine {number}, mutant {count} ({name}): {fault}")
-            else:
-                report.verdicts["accepted"] += 1
+            report.judge(f"machine {number}, mutant {count} ({name})", accepted, partial(fault_of, broken, range(executions)))
     return report
 
 

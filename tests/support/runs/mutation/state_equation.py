@@ -1,16 +1,19 @@
 """A second opinion on soundness: z3 on the state equation of a machine's net, which every reachable marking satisfies.
 
-A marking that is wrong and cannot be excluded so need not be reachable; one that is excluded is not.
+A marking that is wrong and cannot be excluded so need not be reachable; one that is excluded is not. For the net of a policy z3 looks for
+the steps that count and for their distances.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import reduce
 from itertools import combinations
 from typing import Any, Final
 
 import z3
 
+from planner_bridge.planning.policies.steps import GOAL, Step
 from pnm.core.machine.guards import Always, ConditionFalse, ConditionTrue, EffectsMissing, EffectsSeen, Ending, Failing, Opener
 from pnm.core.machine.machine import PetriNetMachine
 from pnm.core.net.net import Weights
@@ -89,3 +92,15 @@ class StateEquation:
             if kind is not other_kind
         )
         return [*sure, *both]
+
+
+def has_distances(steps: Sequence[Step]) -> bool:
+    """Return whether some steps of a policy, and the first, lead to each other and the goal alone, one outcome of each nearer to it."""
+    solver, counting = z3.Solver(), {GOAL: z3.BoolVal(True)} | {step.number: z3.Bool(f"is{step.number}") for step in steps}
+    distances = {GOAL: z3.IntVal(0)} | {step.number: z3.Int(f"d{step.number}") for step in steps}
+    solver.add(counting[steps[0].number if steps else GOAL])
+    for step in steps:
+        ways = [[number in counting and z3.And(counting[number], distances[number] >= 0) for number in one.then] for one in step.branches]
+        nearer = [[number in counting and distances[number] < distances[step.number] for number in one.then] for one in step.branches]
+        solver.add(z3.Implies(counting[step.number], z3.And(*map(z3.And, ways), z3.Or(*map(z3.And, nearer)))))
+    return bool(solver.check() == z3.sat)

@@ -185,6 +185,7 @@ def survive(
                 survival.deaths += 1
                 await asyncio.sleep(0.5)  # robots go on meanwhile
         robots.close()
+        survival.story.truth = robots.world.truth
         stubborn = [fault for fault in faults.faults if fault.ignores_cancel]
         at_work = [request.action for request in robots.at_work]
         survival.wrong += [f"{action} goes on" for action in at_work if not any(fault.concerns(action) for fault in stubborn)]
