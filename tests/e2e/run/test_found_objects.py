@@ -6,7 +6,7 @@ import json
 from collections import Counter
 
 from tests.support.e2e.command_line import pnm
-from tests.support.processes import LIMIT, Program
+from tests.support.processes import Program
 from tests.support.runs.files import FINDS, TIDY
 
 CUPS = ("cup_7", "glass_2", "mug")
@@ -14,21 +14,16 @@ CUPS = ("cup_7", "glass_2", "mug")
 
 def test_a_run_that_is_killed_goes_on_with_what_it_has_found(deploy):
     deployment = deploy("tidy", texts=TIDY, bindings=FINDS, speed="2")
-    robots, journal = deployment.simulate().ready(), str(deployment.folder / "j")
-    run = deployment.run("--journal", journal)
-    robots.happens("start", "wash")
-    run.process.kill()
-    run.process.wait(LIMIT)
-    finished = deployment.finish(deployment.pnm(type(run), "resume", journal), robots)
+    finished = deployment.execute_killed("wash")
     assert (finished.status, finished.result["failures"]) == (0, []), finished.result
     assert finished.truth.objects(("cup",)) == CUPS
     starts = Counter(event["action"] for event in finished.events if event["event"] == "start")
     assert starts == Counter(["search(kitchen)", "search(hall)", *(f"wash({cup})" for cup in CUPS)]) + Counter(
         action for action in starts if action.startswith("pick")
     ), starts
-    told = [json.loads(line) for line in pnm("replay", journal, "--json").stdout.splitlines()]
+    told = [json.loads(line) for line in pnm("replay", deployment.journal, "--json").stdout.splitlines()]
     assert "(exists mug cup)" in json.dumps(told)
-    assert "(exists" in pnm("why", "--journal", journal, "--replan").output
+    assert "(exists" in pnm("why", "--journal", deployment.journal, "--replan").output
 
 
 def test_results_of_servers_of_somebody_else_are_enough(deploy):

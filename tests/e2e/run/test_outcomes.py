@@ -8,7 +8,6 @@ from collections import Counter
 import pytest
 
 from tests.support.e2e.command_line import pnm
-from tests.support.processes import LIMIT
 
 DOMAIN = """
 (define (domain cups) (:requirements :strips :typing :non-deterministic) (:types cup)
@@ -46,17 +45,12 @@ def test_what_follows_goes_by_the_outcome_that_was_told_or_reported(deploy, bind
 
 def test_a_run_that_is_killed_goes_on_from_what_came_about(deploy):
     deployment = deploy("cups", texts=(DOMAIN, PROBLEM), faults=FAULTS, bindings=f"{TOLD}{ASSUMED}", speed="2")
-    robots, journal = deployment.simulate().ready(), str(deployment.folder / "j")
-    run = deployment.run("--journal", journal)
-    robots.happens("start", "lift")
-    run.process.kill()
-    run.process.wait(LIMIT)
-    finished = deployment.finish(deployment.pnm(type(run), "resume", journal), robots)
+    finished = deployment.execute_killed("lift")
     assert (finished.status, finished.result["plans"], finished.result["replans"]) == (0, 1, 0), finished.result
     assert [f"{call['action']}: {call['outcome']}" for call in finished.result["calls"]] == WENT
     starts = Counter(event["action"] for event in finished.events if event["event"] == "start")
     assert starts == {"pick(mug)": 3, "lift(mug)": 1}
-    (task,) = [json.loads(line) for line in pnm("history", journal, "--json").stdout.splitlines()]
+    (task,) = [json.loads(line) for line in pnm("history", deployment.journal, "--json").stdout.splitlines()]
     assert task["code"] == "goal_reached"
-    told = pnm("why", "--journal", journal, "--replan").output
+    told = pnm("why", "--journal", deployment.journal, "--replan").output
     assert "pick(mug): 2" in told, told

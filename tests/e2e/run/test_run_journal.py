@@ -16,25 +16,18 @@ from tests.support.files import written
 from tests.support.processes import LIMIT, Program
 
 
-def history(journal: Path) -> list[dict[str, object]]:
+def history(journal: Path | str) -> list[dict[str, object]]:
     return [json.loads(line) for line in pnm("history", str(journal), "--json").stdout.splitlines()]
 
 
 def test_a_run_that_is_killed_goes_on_with_resume(deploy: Callable[..., ProblemDeployment]) -> None:
     deployment = deploy("delivery/p01", speed="4")
-    robots = deployment.simulate().ready()
-    journal = deployment.folder / "run.journal"
-    run = deployment.run("--journal", str(journal), "--improve", "0")
-    robots.happens("start", "move")
-    run.process.kill()
-    run.process.wait(LIMIT)
-    run = deployment.pnm(type(run), "resume", str(journal))
-    finished = deployment.finish(run, robots)
+    finished = deployment.execute_killed("move", "--improve", "0")
     assert finished.status == 0
     starts = Counter(event["action"] for event in finished.events if event["event"] == "start")
     assert set(starts.values()) == {1}, starts
-    assert [task["code"] for task in history(journal)] == ["goal_reached"]
-    again = pnm("resume", str(journal))
+    assert [task["code"] for task in history(deployment.journal)] == ["goal_reached"]
+    again = pnm("resume", deployment.journal)
     assert again.returncode == 0
     assert "goal_reached" in again.stdout
 

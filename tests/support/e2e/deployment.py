@@ -123,10 +123,10 @@ class ProblemDeployment(RosDomain):
         """The problem as it is at first."""
         return load(Path(self.files[0]), Path(self.files[1]))
 
-    def simulate(self) -> SimulationProgram:
-        """Start the robots."""
+    def simulate(self, program: str = "planner_bridge") -> SimulationProgram:
+        """Start the robots, with a module in place of `pnm` if there is one."""
         options = [*self._bindings, *self._faults, *self._speed, "--log", "/dev/stdout"]
-        return self.pnm(SimulationProgram, "simulate", *self.files, *options)
+        return self.module(SimulationProgram, program, "simulate", *self.files, *options)
 
     def run(self, *options: str, within: Sequence[str] = ()) -> RunProgram:
         """Start a run, by the command it is within if any."""
@@ -137,6 +137,19 @@ class ProblemDeployment(RosDomain):
         """Start the robots and a run, and wait for its end; the verdict must be true."""
         simulation = self.simulate().ready()
         return self.finish(self.run(*options), simulation)
+
+    @property
+    def journal(self) -> str:
+        """The journal of runs that are killed."""
+        return str(self.folder / "journal")
+
+    def execute_killed(self, action: str, *options: str) -> Finished:
+        """Kill a run once an action of this name has started, have another process go on with it, and wait for the end."""
+        simulation = self.simulate().ready()
+        run = self.run("--journal", self.journal, *options)
+        simulation.happens("start", action)
+        run.kill()
+        return self.finish(self.pnm(RunProgram, "resume", self.journal), simulation)
 
     def finish(self, run: RunProgram, simulation: SimulationProgram, limit: float = LIMIT) -> Finished:
         """Wait for the end of the run and stop the robots; the verdict must be what is true in their world."""
