@@ -125,6 +125,12 @@ class Connection:
         """Return whether the server is not there, and is not expected any more."""
         return not self.ready() and now >= self._expected_until
 
+    def give_up(self, now: float) -> bool:
+        """Expect the server no more; return whether it was missing already, or will be at the next look, if it is not there by then."""
+        is_missing = self.is_missing(now)
+        self._expected_until = min(self._expected_until, now)
+        return is_missing
+
     def absence(self, now: float) -> str:
         """Return why the server, which is not ready, is not expected any more; empty while it is."""
         return absence(servers(self.node), self.name, self.wanted_type) if now >= self._expected_until else ""

@@ -290,6 +290,8 @@ class ServerLink:
             self._take_as_accepted(goal)
             return
         if verdict is Verdict.LOST:
+            if not (present or self.connection.give_up(now)):
+                return  # whoever hears that it went away is to know that it is missing
             reason = "went away before it answered"
         elif verdict is Verdict.ASK and goal.liveness.asks == ASKS and not self.connection.are_several(present):
             reason = "was restarted before it answered"
