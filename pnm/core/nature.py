@@ -25,8 +25,8 @@ MOST: Final = 10_000
 """Steps, and turns, that are looked at."""
 
 
-class Phenomenon(NamedTuple):
-    """A process, or an event, with its objects."""
+class GroundProcess(NamedTuple):
+    """A process or an event with objects for its parameters."""
 
     name: str
     condition: Condition
@@ -39,9 +39,9 @@ class Nature:
     def __init__(self, problem: ProblemModel) -> None:
         objects = OnlyObjects(problem.objects_by_type)
 
-        def of(schemas: Iterable[ActionSchema]) -> list[Phenomenon]:
+        def of(schemas: Iterable[ActionSchema]) -> list[GroundProcess]:
             return [
-                Phenomenon(schema.name, ground(schema.precondition, env), ground_effects(schema.end_effects, env))
+                GroundProcess(schema.name, ground(schema.precondition, env), ground_effects(schema.end_effects, env))
                 for schema in schemas
                 for env in choices(schema.parameters, objects, NOTHING)
             ]
@@ -60,7 +60,7 @@ class Nature:
 
         Raises an `InputError` if there is no end to what happens.
         """
-        conditions, going_on, truths, is_turn = [*self._over_numbers, *watched], list[Phenomenon](), list[Truth](), True
+        conditions, going_on, truths, is_turn = [*self._over_numbers, *watched], list[GroundProcess](), list[Truth](), True
         passed, step, turns = 0.0, max(STEP, seconds / MOST), 0
         self._react(state)
         yield passed
@@ -107,7 +107,7 @@ class Nature:
         raise InputError(f"the event {events[0].name} has no end: its effects leave its condition true")
 
 
-def _rates(processes: Iterable[Phenomenon], state: KnowledgeBase) -> dict[Fluent, float]:
+def _rates(processes: Iterable[GroundProcess], state: KnowledgeBase) -> dict[Fluent, float]:
     """Return by how much numbers change in a second."""
     rates: dict[Fluent, float] = {}
     for process in processes:
@@ -117,7 +117,7 @@ def _rates(processes: Iterable[Phenomenon], state: KnowledgeBase) -> dict[Fluent
     return rates
 
 
-def _move(state: KnowledgeBase, processes: Iterable[Phenomenon], before: Mapping[Fluent, float], seconds: float) -> None:
+def _move(state: KnowledgeBase, processes: Iterable[GroundProcess], before: Mapping[Fluent, float], seconds: float) -> None:
     """Record the numbers as they are so many seconds later."""
     total, last = dict.fromkeys(before, 0.0), dict.fromkeys(before, 0.0)
     for part, weight in ((0.0, 1.0), (0.5, 2.0), (0.5, 2.0), (1.0, 1.0)):
