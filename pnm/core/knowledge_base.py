@@ -141,11 +141,7 @@ class KnowledgeBase(RecordedState):
         return {fluent: value for fluent, value in self._facts.items() if value is not False}
 
     def update(self, changes: Mapping[Fluent, Value | Unknown], why: str = "") -> Changes:
-        """Record the changes; return those that changed something. Malformed or derived fluents raise `InputError`: nothing is recorded.
-
-        Args:
-            why: they are unknown, if they are.
-        """
+        """Record the changes; return those that changed something. Malformed or derived fluents raise `InputError`: nothing is recorded."""
         for fluent in changes:
             if not isinstance(fluent, tuple) or not fluent or not all(isinstance(name, str) for name in fluent):
                 raise InputError(f"not a fluent: {fluent!r}; expected a tuple of names such as ('at', 'r1', 'kitchen')")

@@ -56,13 +56,8 @@ class Claim:
 class Resources(KeptState):
     """Resources with their capacities, the requests that hold some, and the queue of those that wait.
 
-    Args:
-        capacities: one for those not listed.
-
-    The mutable state is what the constructor sets under "state".
-
-    Raises:
-        CapacityError: a resource is for no request at all.
+    A resource whose capacity is not given has one of 1. The mutable state is what the constructor sets under "state". Raises a
+    `CapacityError` if a resource is for no request at all.
     """
 
     KEPT = ("_held", "_withheld", "_line", "_told", "_joined")
@@ -117,11 +112,7 @@ class Resources(KeptState):
         return self._capacities
 
     def check_capacities(self, capacities: Mapping[str, int]) -> None:
-        """Refuse a machine made for other capacities: what is free for a call must be free in its net.
-
-        Raises:
-            RunError: it is.
-        """
+        """Raise a `RunError` for a machine made for other capacities: what is free for a call must be free in its net."""
         for name, capacity in capacities.items():
             if capacity != self.capacity(name):
                 raise RunError(f"the machine was generated for {counted(capacity, 'call')} with {name}; {self.capacity(name)} may have it")
@@ -186,12 +177,7 @@ class Resources(KeptState):
             self._tell_served(claim.names)
 
     def withhold(self, request: UUID, name: str) -> None:
-        """Keep the resources of a request that was given up until its end is confirmed.
-
-        Args:
-            request: the one given up.
-            name: what people know it by.
-        """
+        """Keep the resources of a request that was given up, and that people know by a name, until its end is confirmed."""
         if request in self._held:
             self._withheld[request] = name
             # Those in line have been waiting for a call to end; from now on their limit for withheld resources counts.
@@ -252,11 +238,7 @@ class Resources(KeptState):
     def listen(self, listener: Callable[[], None], task: UUID | None = None) -> Callable[[], None]:
         """Call the listener when a claim in line would be granted if it were made again, and when what one waits for is withheld.
 
-        Args:
-            listener: is called.
-            task: the one whose claims are listened to. Without it all are, and one that comes and outranks who has it is heard as well.
-
-        Returns what stops that.
+        Without a task it is called for the claims of all, and for one that comes and outranks who has it. Returns what stops that.
         """
         self._listeners[task].append(listener)
 
@@ -314,12 +296,7 @@ def who_keeps(withheld: Mapping[str, str]) -> str:
 
 
 class RunClaims(KeptState, Generic[Place]):
-    """The claims of one run to resources that it shares with others; its places are known by number or by name.
-
-    Args:
-        resources: shared with other runs.
-        task: on whose behalf they are claimed.
-        priority: how they stand among those of others.
+    """The claims of one run, on behalf of a task, to resources that it shares with others; its places are known by number or by name.
 
     The mutable state is what the constructor sets under "state".
     """

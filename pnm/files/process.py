@@ -58,11 +58,7 @@ def forget_safe_path() -> None:
 
 
 class SafeStream:
-    """A stream of lines, each of them printable. A terminal's library writes its own control sequences past it.
-
-    Args:
-        rich_proxied_file: the stream behind it; named as `rich` looks for it.
-    """
+    """A stream of lines, each of them printable. A terminal's library, `rich`, looks for the stream behind it, for control sequences."""
 
     def __init__(self, rich_proxied_file: TextIO) -> None:
         self.rich_proxied_file = rich_proxied_file

@@ -53,11 +53,7 @@ def value_classes(*modules: ModuleType) -> tuple[type, ...]:
 
 
 class Codec:
-    """Writes and reads values of some classes, and of what JSON has besides.
-
-    Args:
-        classes: dataclasses, enums and named tuples.
-    """
+    """Writes and reads values of some dataclasses, enums and named tuples, and of what JSON has besides."""
 
     def __init__(self, classes: Iterable[type]) -> None:
         self._classes = {kind.__name__: kind for kind in classes}

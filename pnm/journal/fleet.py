@@ -163,6 +163,8 @@ class FleetNews(NamedTuple):
 class Fleet:
     """A fleet, as its database has it for the holder of a part. To be used by the event loop, but for `wait`.
 
+    All of it raises a `JournalError` if that cannot be done now.
+
     The mutable state is the connections; and which facts were read, and are to be shared, and the tasks that have given back what they had:
     both is done in the next transaction.
 
@@ -205,11 +207,7 @@ class Fleet:
             """Closes the connections."""
 
     def add(self, wanted: Wanted, target: int, most: int) -> bool:
-        """Keep a goal for a part, or for any if it is 0; return False if so many wait already, or it is there.
-
-        Raises:
-            JournalError: it cannot be kept now.
-        """
+        """Keep a goal for a part, or for any if it is 0; return False if so many wait already, or it is there."""
         values = {"text": self._codec.text(wanted), "priority": wanted.priority, "door": self.part.number, "target": target}
         with self._transaction():
             is_kept = self._run(_ADD, task=wanted.id.hex, most=most, **values)
@@ -217,7 +215,7 @@ class Fleet:
         return bool(is_kept)
 
     def look(self, room: int) -> FleetNews:
-        """Take goals, as many as there is room for, and return what is new; raise a `JournalError` if that cannot be done now."""
+        """Take goals, as many as there is room for, and return what is new."""
         part = self.part.number
         with self._exchange() as facts:
             if room:
@@ -241,9 +239,6 @@ class Fleet:
         """Claim facts for a task, besides what it has, unless that is against claims of other parts, which are returned.
 
         Returns besides the facts that other parts have changed; if the claim is granted, they have changed no others of its.
-
-        Raises:
-            JournalError: that cannot be done now.
         """
         self._given.discard(task)
         names = {self._codec.text(fluent): int(fluent in writes) for fluent in (*reads, *writes)}
@@ -262,7 +257,7 @@ class Fleet:
         self._given.add(task)
 
     def others(self) -> list[TaskClaim]:
-        """Return the claims of other parts; raise a `JournalError` if that cannot be done now."""
+        """Return the claims of other parts."""
         with self._transaction():
             return self._claims(_OTHERS)
 
@@ -294,13 +289,13 @@ class Fleet:
         return fluent
 
     def refuse(self, task: UUID, ending: TaskEnding) -> None:
-        """Keep how a goal has ended that no journal has; raise a `JournalError` if that cannot be done now."""
+        """Keep how a goal has ended that no journal has."""
         with self._transaction():
             self._run(_REFUSE, task=task.hex, ending=self._codec.text(ending))
             self._announce()
 
     def cancel(self, task: UUID, ending: TaskEnding) -> None:
-        """Have the part cancel a goal that has taken it; if none has, it ends so. Raise a `JournalError` if that cannot be done now."""
+        """Have the part cancel a goal that has taken it; if none has, it ends so."""
         with self._transaction():
             self._run(_CANCEL, task=task.hex, ending=self._codec.text(ending))
             self._announce()

@@ -445,11 +445,7 @@ class WrittenJournal(Journal):
             self._due = self._loop.call_soon(self._write)
 
     def _write(self, *, looks: bool = False) -> None:
-        """Keep what was recorded, and do what has waited for that.
-
-        Args:
-            looks: whether it is looked first that the file is where others find it, as always when the journal is blocked.
-        """
+        """Keep what was recorded, and do what has waited for that; if it `looks`, the file must first be where others find it."""
         if self._due is not None:
             self._due.cancel()
             self._due = None

@@ -19,14 +19,11 @@ from pnm.tasks import REMEMBERED
 
 
 class Ongoing:
-    """The records of tasks that are not over, and of runs that go on. Everything is mutable state.
-
-    Args:
-        segment: the first record of the segment that goes on.
-    """
+    """The records of tasks that are not over, and of runs that go on. Everything is mutable state."""
 
     def __init__(self, segment: int = 0) -> None:
         self.segment = segment
+        """The first record of the segment that goes on."""
         self._is_held = False
         """Whether an operator has paused all tasks."""
         self._recent: deque[tuple[records.Record, records.TaskOver]] = deque(maxlen=REMEMBERED)

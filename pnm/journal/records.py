@@ -77,12 +77,7 @@ class KnowledgeBegan:
 
 @dataclass(frozen=True, slots=True)
 class ClaimsBegan:
-    """The claims to resources, as they are when a segment begins.
-
-    Args:
-        state: of the resources, as its `values` tell it.
-        requests: that have some, or wait for them, without their goals.
-    """
+    """The claims to resources, as they are when a segment begins, and the requests that have or await some, without their goals."""
 
     state: Mapping[str, object]
     requests: tuple[Request, ...] = ()
@@ -107,9 +102,7 @@ class RunMade:
     """A run, with everything that it was made from besides what runs share.
 
     Args:
-        run: its identity.
         task: on whose behalf it claims resources.
-        name: of the task, for people.
         machine: the key of its `MachineSource`.
         local: its own knowledge base.
         caller: the request of the plan that has called it; None if none has.
@@ -137,12 +130,9 @@ class RunMade:
 
 @dataclass(frozen=True, slots=True)
 class RunStands:
-    """A run of a task that is not over, as it is when a segment begins.
+    """A run of a task that is not over, as it is when a segment begins: as its `values` tell it.
 
-    Args:
-        made: what it was made from.
-        state: as its `values` tell it.
-        results: of its calls, if it is not carried on any more; None if it goes on.
+    It has the results of its calls if it is not carried on any more.
     """
 
     made: RunMade
@@ -165,8 +155,6 @@ class Happened:
     """An event that a run has handled, and what followed from it at once.
 
     Args:
-        run: which run.
-        event: what happened.
         fields: for actions by their text, the goal fields that their servers were found to have, if that is news.
         fired: the transitions that fired, by number, in their order.
         deltas: what the run changed in knowledge.

@@ -33,15 +33,7 @@ class ReplayDiffers(PnmError):
 
 @dataclass(frozen=True, slots=True)
 class ReplayStep:
-    """A record that was replayed.
-
-    Args:
-        number: of the record.
-        time: on the clock of the event loop.
-        record: what reached the runs.
-        transition_name: returns the name of a transition of the machine of its run.
-        commands: what the run wanted to be done.
-    """
+    """A record that was replayed, with the commands of its run, and what names the transitions of its machine."""
 
     number: int
     time: float
@@ -59,12 +51,7 @@ class ReplayStep:
 class ReplayedRun:
     """A run that was replayed. What it is connected to is exchanged when it goes on; everything else is as it was.
 
-    Args:
-        made: what it was made from.
-        run: the run.
-        goal_fields: what it knows of goals.
-        result: its result so far when another run succeeded it, or when it was retired; None before.
-        is_over: whether it is carried on no more.
+    When another run succeeds it, or it is retired, it has its result so far.
     """
 
     made: records.RunMade

@@ -210,15 +210,10 @@ def take_up(choice: JournalChoice, codec: Codec, origin: str, take: Take = take)
 
 
 async def stand_by(choice: JournalChoice, codec: Codec, origin: str, waits: Callable[[str], None]) -> Taken:
-    """Take a journal as soon as no other process holds it; meanwhile replay what is new in it.
+    """Take a journal as `take_up` does, as soon as no other process holds it; meanwhile replay what is new in it.
 
-    Args:
-        choice: as for `take_up`.
-        codec: as well.
-        origin: as well.
-        waits: called with the process that holds it, when that is another one than before, and when the journal is back.
-
-    Once the journal has been reached, losing it is no end: it is tried again, after pauses that grow, for as long as that takes.
+    `waits` is called with the process that holds it, when that is another one than before, and when the journal is back. Once the
+    journal has been reached, losing it is no end: it is tried again, after pauses that grow, for as long as that takes.
 
     Raises:
         InputError: as for `take_up`, or the process that holds it serves another world.

@@ -74,14 +74,7 @@ class Home(NamedTuple):
 
 
 class _Commit(NamedTuple):
-    """The records of a transaction.
-
-    Args:
-        first: the number of the first record.
-        rows: the records.
-        parts: that they name.
-        segment: the first record of the segment that goes on after them.
-    """
+    """The records of a transaction, from the first number on, with the parts that they name, and the segment that goes on after them."""
 
     first: int
     rows: Sequence[Row]
@@ -240,11 +233,7 @@ class JournalFile:
         database.run_many(tables.NAME_PART, [{"key": key, "segment": commit.segment} for key, text in commit.parts.items() if text is None])
 
     def drop(self, records: float, tasks: float) -> None:
-        """Drop segments that were over before a time of day, and the rows of tasks that had ended before another one.
-
-        Raises:
-            JournalError: it cannot be written now; nothing was.
-        """
+        """Drop segments that were over before a time of day, and the rows of tasks that had ended before another one."""
         with self._lock, journal_errors(self.place, "written"):
             oldest, first = self._number(tables.OLDEST), self._number(tables.NEEDED, before=records)
         dropped = -inf
@@ -335,11 +324,7 @@ def copy_journal(path: Path, to: Path) -> None:
 
 
 def move_journal(path: Path, to: Path) -> None:
-    """Move a journal that nobody holds, of whatever version, as one file; it goes on there, and another one may begin here.
-
-    Raises:
-        JournalError: that cannot be done.
-    """
+    """Move a journal that nobody holds, of whatever version, as one file; it goes on there, and another one may begin here."""
     with journal_errors(path, "moved"):
         move_file(path, to)
     _settle(to, to.stat().st_ino)
@@ -366,13 +351,7 @@ def _has_log(place: Place) -> bool:
 
 
 class Holding(NamedTuple):
-    """The holder of a journal.
-
-    Args:
-        epoch: the latest.
-        holder: the process that began it.
-        left: seconds until its lease is over; below 0 when it is.
-    """
+    """The process that began the latest epoch of a journal, and the seconds left until its lease is over; below 0 when it is."""
 
     epoch: int
     holder: str

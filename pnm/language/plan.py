@@ -91,14 +91,9 @@ class HandWrittenPlan:
 
 
 def read_plans(path: Path, domain: Path | None = None) -> dict[str, HandWrittenPlan]:
-    """Read all plans of a file, or of the world in it, by name.
+    """Read all plans of a file, or of the world in it, by name; plans that name no domain themselves have that of another file.
 
-    Args:
-        path: the file.
-        domain: the file with the domain, for plans that do not name one themselves.
-
-    Raises:
-        InputError: there is none, something is malformed, or has names that are not there.
+    Raises `InputError` if there is none, something is malformed, or has names that are not there.
     """
     documents, warnings = read_documents(path)
     if len(documents) == 1 and is_world(documents[0]):
@@ -206,14 +201,9 @@ class World:
 
 
 def read_world(path: Path, name: str | None = None) -> World:
-    """Read a world.
+    """Read a world: a file with ``domain`` and ``plans``, or by its name one of several, each with ``domain`` and ``recipes``.
 
-    Args:
-        path: a file with ``domain`` and ``plans``, or with several worlds, each with ``domain`` and ``recipes``.
-        name: which of several worlds.
-
-    Raises:
-        InputError: there is no such world, or something in it or its files is wrong.
+    Raises `InputError` if there is no such world, or something in it or its files is wrong.
     """
     documents, _ = read_documents(path)
     if len(documents) > 1:

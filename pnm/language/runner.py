@@ -79,8 +79,7 @@ class Program:
     def of(plan: HandWrittenPlan, capacities: Mapping[str, int] | None = None) -> Program:
         """Generate the machine and prove it; `capacities` are those of shared resources, in the place of the plan's own.
 
-        Raises:
-            InputError: a call of another plan is given resources.
+        Raises `InputError` if a call of another plan is given resources.
         """
         for call in plan.graph.calls:
             if call.action.name in plan.calls and (names := plan.bindings.resources(call.action)):
@@ -207,18 +206,10 @@ class PlanRunner:
         priority: int = 0,
         caller: UUID | None = None,
     ) -> PlanRun:
-        """Make a run of the plan; `execute` carries it out.
+        """Make a run of the plan, with what it knows at first; `execute` carries it out.
 
-        Args:
-            name: of the plan.
-            parameters: what the run knows at first.
-            observer: of the run.
-            task: on whose behalf resources are claimed, those of plans that it calls included; the run's own if None.
-            priority: how these claims stand among others.
-            caller: the request of the plan that calls it.
-
-        Raises:
-            InputError: there is no such plan, or it has no such parameter.
+        Resources are claimed on behalf of a task, those of plans that it calls included; the run's own if it is None. The caller is the
+        request of the plan that calls it. Raises `InputError` if there is no such plan, or it has no such parameter.
         """
         if name not in self.programs:
             hint = suggestion(name, self.programs) or f"expected one of {', '.join(self.programs) or 'none, for none is loaded'}"
@@ -293,13 +284,7 @@ class PlanRunner:
 
 @dataclass(eq=False, repr=False)
 class PlansClient:
-    """Carries out calls of plans as runs of their own, and passes all others on to the backend.
-
-    Args:
-        runner: has the plans and their shared resources.
-        observer: of the runs of called plans as well.
-        task: on whose behalf they are carried out.
-        priority: of their claims to resources.
+    """Carries out calls of plans as runs of their own, on behalf of a task, and passes all others on to the backend.
 
     The mutable state is the executors of plans by request, the requests that were cancelled, and the tasks that carry them out.
     """

@@ -200,11 +200,7 @@ def finished(action: GroundAction, intended: Intention, knowledge: EvaluationCon
 
 
 def unseen(wanted: Mapping[Fluent, Value], action: GroundAction, knowledge: EvaluationContext) -> tuple[conditions.Condition, ...]:
-    """Return which expected facts are not reported and which end conditions and expectations do not hold.
-
-    Raises:
-        Unanswered: a question has to be asked first.
-    """
+    """Return which expected facts are not reported and which end conditions and expectations do not hold; may raise `Unanswered`."""
     missing = [stated(fluent, value) for fluent, value in wanted.items() if not same_value(knowledge.world.value(fluent), value)]
     # what the end itself changes cannot be checked any more
     base, changed = knowledge.world.rules.base, names_written(action.possible_effects)

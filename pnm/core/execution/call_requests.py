@@ -180,11 +180,7 @@ class Calls(KeptState):
     # --- actions of transitions -----------------------------------------------------------------
 
     def compute_intention(self, action: TransitionAction | None, call: int, context: EvaluationContext) -> None:
-        """Compute what the action of a transition is going to change, only to find out which questions that depends on.
-
-        Raises:
-            Unanswered: a question has to be asked before the transition fires.
-        """
+        """Compute what the action of a transition is going to change, only to raise `Unanswered` if that depends on a question."""
         planned, attempt = context.action, self.attempts.get(call)
         match action:
             case TransitionAction.SEND if not all(map(is_fixed, (*planned.start_effects, *planned.possible_effects))):

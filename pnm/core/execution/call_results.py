@@ -242,10 +242,7 @@ class CallResults(KeptState):
         """Return the results of the calls, every time they were reached, as far as that is remembered.
 
         A plan of calls alone keeps its order; of any other plan calls come in the order in which they were sent, and of those
-        that were never reached the outermost ones.
-
-        Args:
-            handed: the numbers of calls whose requests another run takes over.
+        that were never reached the outermost ones. Another run takes over the requests of the calls that are `handed` over.
         """
         current = map(self.current, range(len(self._calls)))
         results = [result._replace(kind=CallOutcome.HANDED_OVER) if result.call.index in handed else result for result in current]
@@ -273,15 +270,7 @@ class CallResults(KeptState):
         self._answers[call] = outcome
 
     def turned(self, outcome: CallOutcome, call: int, now: float, assumed: bool = False, declared: str = "") -> None:
-        """Record an outcome of a call, so far or for good.
-
-        Args:
-            outcome: the outcome.
-            call: its number.
-            now: when it came about.
-            assumed: whether some of its effects are reported by nothing.
-            declared: which of its declared outcomes it has had, if its action has several.
-        """
+        """Record an outcome of a call, so far or for good; it is `assumed` if nothing reports some of its effects."""
         before = self._current.get(call)
         if before is None:
             before = self._current[call] = CallResult(self._calls[call])
@@ -308,11 +297,7 @@ class CallResults(KeptState):
     def hindered(self, rule: Rule, call: int, check: Explanation | None, unseen: tuple[str, str] | None) -> Explanation | None:
         """Record, and return, the cause of a recovery or failure of a call that the firing of a transition tells.
 
-        Args:
-            rule: of the transition.
-            call: its number.
-            check: the explanation if a check has led to a recovery.
-            unseen: the effects that are not seen, and what is seen instead.
+        It is that of a check, if one has led to a recovery; `unseen` are the effects that are not seen, and what is seen instead.
         """
         if check is not None:
             self._causes[call] = check
@@ -330,15 +315,7 @@ class CallResults(KeptState):
         self._current[call.index] = before._replace(call=call)
 
     def failed(self, step: int, now: float, check: Explanation | None, rule: Rule, lacking: tuple[str, ...]) -> Failure:
-        """Record the failure of a step.
-
-        Args:
-            step: its number.
-            now: when it failed.
-            check: the explanation if a check has led to the failure at once; otherwise the cause noted last counts.
-            rule: of the transition that marks the failure.
-            lacking: the resources that it has waited for in vain.
-        """
+        """Record the failure of a step: its cause is a check that has led to it at once, or else the one noted last."""
         before = self._causes.get(step)
         if check and before:
             again = f"so it was not tried again after {before.cause}: expected {before.expected}, observed {before.observed}"

@@ -28,10 +28,6 @@ class Agenda(KeptState):
     """Places to be asked, in their order, and those that are *undecided*: nothing is open there yet, so they are asked again.
 
     The mutable state is what the constructor sets under "state".
-
-    Args:
-        index: of the machine.
-        knowledge: what is decided by.
     """
 
     KEPT = ("undecided", "_count", "_asked", "_timers", "_set", "_wake")

@@ -335,11 +335,7 @@ class RunView(KeptState):
         return [(place, call) for place, call in self._index.settling.items() if self._engine.tokens[place]]
 
     def check_successor(self, new: RunView) -> None:
-        """Refuse a successor that loses a request under way, or has one that cannot be taken over.
-
-        Raises:
-            RunError: this run cannot be succeeded by the new one.
-        """
+        """Raise a `RunError` for a successor that loses a request under way, or has one that cannot be taken over."""
         if self.over or self.stopped:
             raise RunError("a run that is over, or was told to stop, is not succeeded by another")
         if self.id == new.id:

@@ -327,8 +327,7 @@ class Vocabulary:
     def check_stored(self, action: str, fluent: Fluent, position: Position, found: Types = ()) -> None:
         """Refuse a fluent that the result of an action cannot set: of undeclared names, or with other arguments than declared.
 
-        Args:
-            found: the types of what ``?found`` stands for.
+        What ``?found`` stands for has the types `found`.
         """
         self.check_set(fluent[0], position)
         needed = self.signatures[fluent[0]].parameters

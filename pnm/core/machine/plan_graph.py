@@ -81,17 +81,10 @@ class GroundAction:
 def ground_schema(
     schema: ActionSchema, arguments: tuple[str, ...], env: Environment, state: State, duration: float | None = None, outcome: str = ""
 ) -> GroundAction:
-    """Substitute values for the parameters of a schema.
+    """Substitute values for the parameters of a schema; those without a value in `env`, by parameter with ``?``, stay.
 
-    Args:
-        schema: the action.
-        arguments: how the values are written, in the order of the parameters.
-        env: the values, by parameter with ``?``; a parameter without one stays.
-        state: has the objects for which outcomes may differ.
-        duration: the planned one, in seconds.
-        outcome: the name of the expected one; the first by default.
-
-    Raises an `InputError` if there is no such outcome, or there are too many.
+    The arguments say how the values are written. Outcomes may differ for the objects of the state; the first one is expected, or the one
+    of this name. Raises an `InputError` if there is no such outcome, or there are too many.
     """
     if duration is not None:
         env = {**env, DURATION[0]: duration}
@@ -506,11 +499,7 @@ def _check_orderings(flow: Flow) -> None:
 
 
 def in_order(flow: Flow) -> tuple[PlanEvent, ...]:
-    """Return the events of the steps in an order that keeps every start before its end and every ordering.
-
-    Raises:
-        PlanGraphError: there is none.
-    """
+    """Return the events of the steps in an order that keeps starts before ends and all orderings; `PlanGraphError` if there is none."""
     events = [PlanEvent(step.index, moment) for step in flow.steps for moment in (Moment.START, Moment.END)]
     starts = {step.index: 2 * number for number, step in enumerate(flow.steps)}
     before: list[list[int]] = [[number - 1] if number % 2 else [] for number in range(len(events))]

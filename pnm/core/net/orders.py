@@ -74,12 +74,9 @@ class TimeOrder:
 
 
 def time_order(net: PetriNet, begin: str, aside: Collection[str]) -> TimeOrder:
-    """Return the order of time of a net.
+    """Return the order of time of a net whose token begins at a place.
 
-    Args:
-        net: the net.
-        begin: the place where its token begins.
-        aside: places that no token passes through, such as counters and resources: they order nothing.
+    Places aside, such as counters and resources, order nothing: no token passes through them.
     """
     left: list[str] = []
     """Places and transitions that were left, last ones first: whatever a node leads to is left before it."""

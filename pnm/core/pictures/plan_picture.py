@@ -67,28 +67,15 @@ class PlanLayout:
     arrows: tuple[Arrow, ...]
 
     @property
-    def rows(self) -> int:
-        """The number of rows."""
-        return 1 + max((cell.row for cell in self.cells.values()), default=-1)
-
-    @property
-    def lines(self) -> int:
-        """The number of lines of columns."""
-        return 1 + max((cell.line for cell in self.cells.values()), default=-1)
-
-    @property
-    def columns(self) -> int:
-        """The largest number of columns beside each other."""
-        return 1 + max((cell.column for cell in self.cells.values()), default=-1)
+    def size(self) -> tuple[int, int, int]:
+        """The numbers of rows, of lines of columns, and of columns beside each other."""
+        positions = [(cell.row, cell.line, cell.column) for cell in self.cells.values()]
+        rows, lines, columns = map(max, zip((-1, -1, -1), *positions, strict=True))
+        return 1 + rows, 1 + lines, 1 + columns
 
 
 def laid_out(flow: Flow, across: int = COLUMNS) -> PlanLayout:
-    """Return the layout of the steps of a flow, without what they hold, and of the orderings that do not follow from others.
-
-    Args:
-        flow: the steps.
-        across: columns beside each other, at most.
-    """
+    """Return the layout of steps, `across` columns beside each other at most, and of the orderings that do not follow from others."""
     steps = {step.index: step for step in flow.steps}
     order = [event.call for event in in_order(flow) if event.moment is Moment.START]
     waits_for: dict[int, set[int]] = {index: set() for index in steps}
@@ -229,13 +216,10 @@ _STYLE: Final = (
 def plan_svg(plan: PlanGraph, title: str = "", *, style: str = _STYLE) -> str:
     """Return the picture of a plan, and below it that of what its steps hold; the same plan gives the same text.
 
-    Args:
-        plan: the plan.
-        title: what the picture is called.
-        style: its looks, as CSS; empty where it is part of a page that has looks for it.
+    The style is CSS; it is empty where the picture is part of a page that has looks for it.
     """
     sections = [("", laid_out(plan.flow)), *((name, laid_out(flow)) for step in plan.every_step for name, flow in held(step))]
-    columns = max(1, *(layout.columns for _, layout in sections))
+    columns = max(1, *(layout.size[2] for _, layout in sections))
     width = 2 * _MARGIN[0] + (columns - 1) * _PITCH[0] + _BOX[0]
     height, drawn = 0, []
     for name, layout in sections:
@@ -246,7 +230,8 @@ def plan_svg(plan: PlanGraph, title: str = "", *, style: str = _STYLE) -> str:
         arrows = [arrow for arrow in layout.arrows if not arrow.is_for_the_end and lines[arrow.before] == lines[arrow.after]]
         drawn += (*_rules(layout, width), *_paths(layout, arrows), *_facts(layout, arrows), *_numbered_arrows(layout))
         drawn += (*chain.from_iterable(map(_box, layout.cells.values())), "</g>")
-        height += 2 * _MARGIN[1] + max(layout.rows - 1, 0) * _PITCH[1] + _BOX[1] + max(layout.lines - 1, 0) * _BETWEEN
+        rows, lines_of_columns, _ = layout.size
+        height += 2 * _MARGIN[1] + max(rows - 1, 0) * _PITCH[1] + _BOX[1] + max(lines_of_columns - 1, 0) * _BETWEEN
     return picture("plan", title or f"a plan of {counted(len(plan.calls), 'call')}", style, width, height, drawn)
 
 

@@ -23,16 +23,9 @@ def cut(text: str, letters: int) -> str:
 
 
 def picture(kind: str, title: str, style: str, width: float, height: float, parts: Iterable[str]) -> str:
-    """Return the text of a picture.
+    """Return the text of a picture of a kind, such as ``plan``, whose size is in pixels.
 
-    Args:
-        kind: of picture, such as ``plan``.
-        title: what it is called.
-        style: its looks, as rules of CSS, for pictures of its kind alone: a notebook may have several on one page. Empty for a picture
-            that is part of a page with looks for it.
-        width: pixels.
-        height: pixels.
-        parts: what is drawn.
+    The style is CSS for pictures of its kind alone: a notebook may have several on one page. It is empty if the page has looks for it.
     """
     size = f"{width:g}", f"{height:g}"
     looks = re.sub(r"[^{},]+(?=[,{])", rf".pnm-{kind} \g<0>", style + _FRAME) if style else ""

@@ -24,12 +24,7 @@ class DamagedDatabase(DatabaseError):
 
 @dataclass(frozen=True)
 class SqlQuery:
-    """A statement that reads.
-
-    Args:
-        sql: of it.
-        columns: the types of the values in a row; a file or a server may have others, whatever its tables say.
-    """
+    """A statement that reads, with the types of the values in a row; a file or a server may have others, whatever its tables say."""
 
     sql: str
     columns: tuple[type, ...]

@@ -466,11 +466,7 @@ def _recoveries(net: CallNet, call: Asked) -> Mapping[Cause, object]:
 
 
 def check_content(net: CallNet, call: Asked) -> Mapping[int, WatchedPlaces]:
-    """Check that the net of a call does what is asked of it; return the watches by the numbers of their transitions.
-
-    Raises:
-        Unsound: a rule is broken.
-    """
+    """Check that the net of a call keeps its rules; return the watches by the numbers of their transitions."""
     if not net.ready:
         raise Unsound(f"{call.step} is never sent")
     watched: dict[int, WatchedPlaces] = {}
@@ -489,11 +485,7 @@ def check_content(net: CallNet, call: Asked) -> Mapping[int, WatchedPlaces]:
 
 
 def check_guard(watch: WatchedPlaces, guard: Guard, call: Asked) -> None:
-    """Check a guard of a call that is of the same kind as another, which was looked at.
-
-    Raises:
-        Unsound: it is not what is asked.
-    """
+    """Check a guard of a call that is of the same kind as another, which was looked at."""
     if (asked := watch.asked(call)) != guard:
         raise _broken(call, watch.rule, asked, guard)
 

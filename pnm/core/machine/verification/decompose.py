@@ -45,19 +45,16 @@ Owners: TypeAlias = Mapping[str, set[Owner]]
 
 
 class Anatomy:
-    """The blocks and regions of a machine.
+    """The blocks and regions of a machine, or of a sample of one.
+
+    Args:
+        beside: the blocks that are left out of the sample, by the places that they give to, and by those that they take from.
 
     Raises:
         Unsound: a place makes a forbidden connection, or regions are not what the machine declares.
     """
 
     def __init__(self, machine: PetriNetMachine, beside: tuple[Owners, Owners] = ({}, {})) -> None:
-        """Take a machine apart.
-
-        Args:
-            machine: a machine, or a sample of one.
-            beside: the blocks that are left out of the sample, by the places that they give to, and by those that they take from.
-        """
         self.machine = machine
         self.transitions: dict[Owner, list[str]] = {None: []}
         for name, rule in machine.rules.items():
@@ -319,14 +316,7 @@ def _resources(steps: Iterable[PartStep], resources: Mapping[str, int]) -> dict[
 
 
 def check_roles(machine: PetriNetMachine) -> str:
-    """Check that every place has one role, and that at first the beginning is marked, budgets and resources, and nothing else.
-
-    Returns:
-        The place where the machine begins.
-
-    Raises:
-        Unsound: something of that is not so.
-    """
+    """Return the place where the machine begins; raise `Unsound` if a place has two roles, or more is marked than budgets and resources."""
     roles: tuple[Iterable[str], ...] = (
         *((machine.goal_place,), (machine.failed_place,), machine.failure_places, machine.restart_places),
         *(machine.budget_places, machine.resource_places, machine.orderings, machine.border_places),

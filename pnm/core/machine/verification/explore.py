@@ -168,9 +168,6 @@ def check_steps(part: Part) -> None:
 
     A report moves the one token of its call; what is marked as failed or as the end stays so; there is as much of every resource as
     any step takes; delays count from what is taken; the outcome that a call has after a step is what has happened.
-
-    Raises:
-        Unsound: something of that is not so.
     """
     for step in part.steps:
         inputs, guard = step.inputs, step.guard

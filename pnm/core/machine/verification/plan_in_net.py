@@ -21,11 +21,7 @@ _BEGINNINGS = (TransitionAction.BEGIN, TransitionAction.ADOPT)
 
 
 def check_flows(machine: PetriNetMachine) -> None:
-    """Check that the machine has a region for every flow of the plan, and a place for every ordering that does not follow from others.
-
-    Raises:
-        Unsound: it lacks one, or has one that the plan has not.
-    """
+    """Check that the machine has a region for every flow of the plan, a place for every ordering that does not follow, and no others."""
     owned = _flows(machine.plan)
     steps = Counter((owner, frozenset(step.index for step in flow.steps)) for owner, flow in owned if flow.steps)
     regions = Counter((region.owner, region.steps) for region in machine.regions if region.steps)
@@ -57,10 +53,7 @@ def check_places(plan: PlanGraph, blocks: MachineBlocks) -> None:
     """Check what no block shows by itself.
 
     The blocks are those of the steps of the plan, begin as their templates do, and are connected as the plan has it: by places between
-    them, in an order without a cycle.
-
-    Raises:
-        Unsound: something of that is not so, or a delay or a release time is not waited for.
+    them, in an order without a cycle. Delays and release times are waited for.
     """
     _check_order(plan, blocks)
     resources, restarts, held = blocks.resources, blocks.restarts, blocks.held
@@ -165,10 +158,8 @@ def check_events(machine: PetriNetMachine, block: PlacedBlock, transitions: Coll
     """Check that the orderings of a step are kept where its start and its end are.
 
     What its start waits for is taken before anything else happens, what its end waits for before it is left. That its end marks
-    nothing before it has come is explored; its start marks what waits for it when the request begins, or when none will be sent.
-
-    Raises:
-        Unsound: an ordering is not kept so, or a delay or a release time is not waited for.
+    nothing before it has come is explored; its start marks what waits for it when the request begins, or when none will be sent. Delays
+    and release times are waited for.
     """
     orderings, net, rules = machine.orderings, machine.net, machine.rules
     for places, moment in ((block.first, Moment.START), (block.rest, Moment.END)):
