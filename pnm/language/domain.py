@@ -136,9 +136,7 @@ def read_schema(name: str, keys: Action, scope: FormulaScope) -> ActionSchema:
     end_effects = end.effects if keys.outcomes is None else (*end.effects, read_outcomes(keys.outcomes, inner))
     if has_outcomes(start_effects):
         raise InputError("a robot says at the end how an action has turned out; expected one_of there", keys.entry.position("effects"))
-    schema = ActionSchema(
-        name, parameters, conditions.start, conditions.always, conditions.end, start_effects, end_effects, bounds, expected=end.expected
-    )
+    schema = ActionSchema(name, parameters, *conditions, start_effects, end_effects, bounds, expected=end.expected)
     if scope.strict:
         timed = (schema.invariant, schema.end_condition) != (TRUE, TRUE), bool(schema.start_effects)
         for key, has_moments in zip(("preconditions", "effects"), timed, strict=True):

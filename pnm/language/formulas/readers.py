@@ -365,28 +365,17 @@ def _only_effects(node: Node, scope: FormulaScope) -> Effects:
 # --- moments and durations -----------------------------------------------------------------
 
 
-@dataclass(frozen=True, slots=True)
-class TimedConditions:
-    """Conditions of an action by the moment they must hold."""
-
-    start: Condition = TRUE
-    always: Condition = TRUE
-    end: Condition = TRUE
-
-
-def read_conditions(node: Node | None, scope: FormulaScope = ANYTHING) -> TimedConditions:
-    """Read preconditions: a condition, or conditions by moment: ``{at_start: c, over_all: c, at_end: c}``."""
-    if node is None:
-        return TimedConditions()
-    if not _has_moments(node):
-        return TimedConditions(read_condition(node, scope))
+def read_conditions(node: Node | None, scope: FormulaScope = ANYTHING) -> tuple[Condition, Condition, Condition]:
+    """Read preconditions, those at the start, over all and at the end: ``{at_start: c, over_all: c, at_end: c}``, or that at the start."""
+    if node is None or not _has_moments(node):
+        return TRUE if node is None else read_condition(node, scope), TRUE, TRUE
     keys = ConditionsByMoment(node.mapped())
     conditions = keys.at_start, keys.over_all, keys.at_end
     start, always, end = (TRUE if condition is None else read_condition(condition, scope) for condition in conditions)
     if any(isinstance(part, Query) and part.layer is not Layer.LOCAL for data in data_in(always) for part in parts(data)):
         message = "a condition over all is watched all the time, and cannot ask people; expected LocalQuery, facts or functions"
         raise InputError(message, keys.entry.position("over_all"))
-    return TimedConditions(start, always, end)
+    return start, always, end
 
 
 def read_timed_effects(node: Node | None, scope: FormulaScope = ANYTHING) -> tuple[Effects, WrittenEffects]:
