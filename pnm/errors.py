@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from difflib import get_close_matches
 from math import isfinite
@@ -32,6 +33,15 @@ class InputError(PnmError):
         super().__init__(f"{position}: {message}" if position else message)
         self.message = message
         self.position = position
+
+
+@contextmanager
+def located(position: Position) -> Iterator[None]:
+    """Raise what is found wrong inside as wrong at this position."""
+    try:
+        yield
+    except InputError as error:
+        raise InputError(error.message, position) from error
 
 
 @dataclass(frozen=True, slots=True)

@@ -16,7 +16,7 @@ from planner_bridge.model.problem import Domain, Problem, once_per_domain
 from pnm.core.logic.domain import ActionSchema
 from pnm.core.logic.effects import names_written, outcomes
 from pnm.core.logic.expressions import OnlyObjects
-from pnm.errors import InputError, Position
+from pnm.errors import InputError, Position, located
 
 if TYPE_CHECKING:
     from planner_bridge.model.rates import Rates
@@ -70,10 +70,8 @@ def determinization(problem: Problem) -> Determinization:
 
 def check_outcomes(problem: Problem, position: Position) -> None:
     """Refuse an action that has too many outcomes for the objects of the problem."""
-    try:
+    with located(position):
         determinized_domain(problem.domain, problem.members)
-    except InputError as error:
-        raise InputError(error.message, position) from error
 
 
 @once_per_domain

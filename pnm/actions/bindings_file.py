@@ -11,7 +11,7 @@ from pnm.core.knowledge_base import parse_fluent
 from pnm.core.logic.domain import FluentKind, Vocabulary
 from pnm.core.logic.expressions import Fluent
 from pnm.core.machine.bindings import _NAME, DEFAULT, NO_BINDINGS, Binding, Bindings, Foreign, Found, Table, WhenLost, placeholders
-from pnm.errors import InputError, Position
+from pnm.errors import InputError, Position, located
 from pnm.files.yaml_keys import (
     ANYTHING,
     TEXT,
@@ -178,10 +178,9 @@ def stored_fluents(store: Mapping[str, str], entry: Mapped) -> Iterator[tuple[Fl
     for name, target in store.items():
         if target.startswith("("):
             _, value = entry.section("store").nodes[name]
-            try:
-                yield parse_fluent(target), value
-            except InputError as error:
-                raise value.wrong(error.message) from error
+            with located(value.position):
+                fluent = parse_fluent(target)
+            yield fluent, value
 
 
 def _found(keys: FoundKeys, action: str, known: Vocabulary | None) -> Found:
@@ -191,10 +190,8 @@ def _found(keys: FoundKeys, action: str, known: Vocabulary | None) -> Found:
         known.check_type(kind, keys.type.position)
         types = known.types[kind] - {kind, "object"}
     for fact, item in zip(keys.facts, keys.entry.listed("facts"), strict=True):
-        try:
+        with located(item.position):
             facts.append(parse_fluent(fact))
-        except InputError as error:
-            raise item.wrong(error.message) from error
         if known is not None:
             known.check_kind(facts[-1][0], FluentKind.FACT, item.position)
             known.check_stored(action, facts[-1], item.position, (kind,))
@@ -256,10 +253,8 @@ def _source(node: Node) -> object:
     if node.items is not None:
         return [_source(item) for item in node.items]
     if node.text is not None and node.text.startswith("("):
-        try:
+        with located(node.position):
             parse_fluent(node.text)
-        except InputError as error:
-            raise node.wrong(error.message) from error
     return node.plain()
 
 

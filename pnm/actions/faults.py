@@ -15,7 +15,7 @@ from pnm.core.logic.domain import Vocabulary
 from pnm.core.logic.effects import Effects
 from pnm.core.logic.expressions import Fluent, Value
 from pnm.core.machine.plan_graph import GroundAction
-from pnm.errors import InputError, Position
+from pnm.errors import InputError, Position, located
 from pnm.files.yaml_nodes import Mapped, load_yaml
 
 
@@ -151,10 +151,8 @@ def _change(entry: Mapped, known: Vocabulary | None) -> HiddenChange:
     at, on = entry.number("at", None), entry.string("on")
     if (at is None) == (on is None):
         raise InputError("expected either 'at' (seconds) or 'on' (start of CALL, end of CALL)", entry.start)
-    try:
+    with located(entry.position("set")):
         changes = dict(map(parse_statement, entry.strings("set")))
-    except InputError as error:
-        raise InputError(error.message, entry.position("set")) from error
     match = _MOMENT.match(on or "")
     if on is not None and match is None:
         raise InputError(f"expected 'start of CALL' or 'end of CALL', found {on!r}", entry.position("on"))

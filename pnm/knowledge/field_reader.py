@@ -8,7 +8,7 @@ from typing import Final
 from pnm.core.logic.domain import Vocabulary
 from pnm.core.logic.expressions import UNDEFINED, is_number
 from pnm.core.message_fields import Combined, Comparison, Field, FieldValue, Flag, Test, parse_field
-from pnm.errors import InputError
+from pnm.errors import InputError, located
 from pnm.files.yaml_keys import ANYTHING, TEXT, Keys, ref, written
 from pnm.files.yaml_nodes import Mapped, Node
 
@@ -53,10 +53,9 @@ def read_field(entry: Mapped) -> Field:
 
 
 def _field(node: Node) -> Field:
-    try:
-        return parse_field(node.written)  # not the value of the YAML scalar, since `on` and `y` are true in YAML
-    except InputError as error:
-        raise node.wrong(error.message) from error
+    with located(node.position):
+        field = parse_field(node.written)  # not the value of the YAML scalar, since `on` and `y` are true in YAML
+    return field
 
 
 def field_value(node: Node) -> FieldValue:

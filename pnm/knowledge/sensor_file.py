@@ -12,7 +12,7 @@ from pnm.core.knowledge_base import parse_fluent
 from pnm.core.logic.domain import FluentKind, Signature, Vocabulary
 from pnm.core.logic.expressions import Fluent, Variable
 from pnm.core.message_fields import Field, FieldValue, fields_in
-from pnm.errors import InputError, Position, suggestion
+from pnm.errors import InputError, Position, located, suggestion
 from pnm.files.yaml_nodes import Mapped, load_yaml, texts_in
 from pnm.knowledge.field_reader import read_field, read_number, read_object, read_table, read_test
 from pnm.knowledge.sensor_model import VALUE, ByService, Sensing, Sensor, Statement, placeholders
@@ -160,10 +160,8 @@ class _Reader:
             raise InputError("expected one of fact, number and object", entry.start)
         kind, where = kinds[0], entry.position(kinds[0])
         text = _text(entry, kind, "(battery ?r)")
-        try:
+        with located(where):
             fluent = parse_fluent(text)
-        except InputError as error:
-            raise InputError(error.message, where) from error
         is_choice = kind == "fact" and VALUE in fluent
         for variable in own:
             if variable.name not in fluent:

@@ -18,7 +18,7 @@ from pnm.core.logic.effects import Effects, ForEach, OneOf, Set, TimedChange, Wh
 from pnm.core.logic.expressions import DURATION, Constant, Fluent, Value, Variable, expression_variables, fluent_text, variables_in
 from pnm.core.logic.rules import DerivationRule, Rules, UnstratifiedError
 from pnm.core.machine.bindings import DEFAULT, Binding
-from pnm.errors import InputError, Position, Tolerated
+from pnm.errors import InputError, Position, Tolerated, located
 from pnm.files.yaml_nodes import Mapped, Node
 from pnm.knowledge.sources import SourceChoice, check_source
 from pnm.language.formulas.readers import (
@@ -364,10 +364,8 @@ def read_model(top: DomainKeys, *, strict: bool = False) -> ProblemModel:
     )
     whole = replace(declared, domain=domain)
     for name, keys in top.actions.items():
-        try:
+        with located(keys.entry.start):
             known = [way.name for way in whole.outcomes(name)] if name in domain.uncertain else []
-        except InputError as error:
-            raise InputError(error.message, keys.entry.start) from error
         for told, where, _ in keys.told.entries():
             if told not in known:
                 raise unknown("outcome", told, known, where)

@@ -36,7 +36,7 @@ from pnm.core.machine.plan_graph import (
     every_step,
     ground_schema,
 )
-from pnm.errors import InputError, Position
+from pnm.errors import InputError, Position, located
 from pnm.language.domain import OPERATION, LanguageAction
 from pnm.language.grammar import ActionKind
 from pnm.language.steps import BlockStep, CallStep, StepList, WrittenRecovery, WrittenStep
@@ -97,10 +97,8 @@ def ground_action(step: CallStep, outer: Mapping[str, Data], facts: KnowledgeBas
     if duration is not None and not 0.0 <= duration <= _LONGEST:
         raise InputError(f"expected a duration from 0 to {_LONGEST:g} s, found {duration:g}", step.place.position)
     arguments = tuple(text_of(env.get(f"?{name}", f"?{name}")) for name in names)
-    try:
+    with located(step.place.position):
         action = ground_schema(step.action.schema, arguments, env, facts, duration, step.outcome)
-    except InputError as error:
-        raise InputError(error.message, step.place.position) from error
     resources = tuple(dict.fromkeys((*step.action.resources, *step.resources)))
     return replace(
         action, parameters=names, given=tuple(given.items()), operation=operation, resources=resources, returns=step.action.returns

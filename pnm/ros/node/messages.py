@@ -22,7 +22,7 @@ from uuid import UUID
 from pnm.core.logic.computed_values import MISSING
 from pnm.core.machine.bindings import Binding, Table
 from pnm.core.message_fields import Combined, Comparison, Field, FieldValue, Flag, Having, Test, item, parse_field, written
-from pnm.errors import InputError, PnmError, suggestion
+from pnm.errors import InputError, PnmError, located, suggestion
 from pnm.knowledge.sensor_model import Sensor, Statement
 
 _TYPE: Final = re.compile(r"([a-z][a-z0-9_]*)/(action|msg|srv)/([A-Z][A-Za-z0-9]*)")
@@ -395,12 +395,12 @@ def fitted(sensor: Sensor, message_type: Any) -> Sensor:
 
 def _fitted(statement: Statement, message_type: Any) -> Statement:
     source = statement.source
-    try:
-        if not isinstance(source, FieldValue):
-            return replace(statement, source=fitted_test(source, message_type))
-        needed, expected = (TEXT, "a text") if statement.types else (NUMBER, "a number")
-        if isinstance(statement.subject, str):
-            needed, expected = ANY, "a value"
-        return replace(statement, source=fitted_source(source, message_type, needed, expected))
-    except InputError as error:
-        raise InputError(error.message, statement.position) from error
+    with located(statement.position):
+        if isinstance(source, FieldValue):
+            needed, expected = (TEXT, "a text") if statement.types else (NUMBER, "a number")
+            if isinstance(statement.subject, str):
+                needed, expected = ANY, "a value"
+            source = fitted_source(source, message_type, needed, expected)
+        else:
+            source = fitted_test(source, message_type)
+    return replace(statement, source=source)
