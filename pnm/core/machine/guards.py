@@ -99,15 +99,15 @@ class GuardKind(_Traits):
         return None
 
 
+@dataclass(frozen=True, slots=True)
 class OfCall(GuardKind):
     """A guard about the call that it belongs to: of that, its traits say nothing more."""
 
-    __slots__ = ()
     call: int
     is_check: ClassVar[bool] = False
 
     def about(self, call: int, /) -> Guard:
-        return type(self)(call)  # type: ignore[call-arg, return-value]  # each kind has this field first, and if more then its own method
+        return type(self)(call)  # type: ignore[return-value]  # a kind with more fields has its own method
 
     @property
     def proved(self) -> object:
@@ -171,10 +171,10 @@ class PauseAsked(_OfRun):
 # --- knowledge --------------------------------------------------------------------------------
 
 
+@dataclass(frozen=True, slots=True)
 class _OfCondition(GuardKind):
     """A guard that the truth of a condition opens."""
 
-    __slots__ = ()
     condition: Condition
     opened_by = Opener.KNOWLEDGE
     reads = KnowledgeRead.CONDITION
@@ -193,7 +193,6 @@ class _OfCondition(GuardKind):
 class ConditionTrue(_OfCondition):
     """Open when the condition is true."""
 
-    condition: Condition
     goes_well = True
 
     @property
@@ -204,8 +203,6 @@ class ConditionTrue(_OfCondition):
 @dataclass(frozen=True, slots=True)
 class ConditionFalse(_OfCondition):
     """Open when the condition has not been true for as long as reports about it may be late."""
-
-    condition: Condition
 
     @property
     def complement(self) -> Guard | None:
@@ -220,21 +217,16 @@ class ConditionFalse(_OfCondition):
 class ConditionUnknown(_OfCondition):
     """Open when that is so and the condition is unknown: it cannot be computed, or nothing reports what it is about."""
 
-    condition: Condition
-
 
 @dataclass(frozen=True, slots=True)
 class InvariantFalse(_OfCondition):
     """Open when the over-all condition of a call under way is reported false; only what may not be reported yet gets the time for that."""
-
-    condition: Condition
 
 
 @dataclass(frozen=True, slots=True)
 class AlreadyTrue(OfCall):
     """Open when all that the call would change is a plain fact and is so already."""
 
-    call: int
     opened_by = Opener.KNOWLEDGE
     reads = KnowledgeRead.ANYTHING
 
@@ -243,7 +235,6 @@ class AlreadyTrue(OfCall):
 class DataMissing(OfCall):
     """Open when a goal field has no value."""
 
-    call: int
     opened_by = Opener.KNOWLEDGE
     reads = KnowledgeRead.ANYTHING
     is_check = True
@@ -253,7 +244,6 @@ class DataMissing(OfCall):
 class EffectsSeen(OfCall):
     """Open when every sensed effect of the call is reported and its end condition held."""
 
-    call: int
     opened_by = Opener.KNOWLEDGE
     reads = KnowledgeRead.EFFECTS
     goes_well = True
@@ -264,7 +254,6 @@ class EffectsSeen(OfCall):
 class EffectsMissing(OfCall):
     """Open when that has not been so for as long as the reports may be late."""
 
-    call: int
     opened_by = Opener.KNOWLEDGE
     reads = KnowledgeRead.EFFECTS
 
@@ -277,7 +266,6 @@ class EffectsMissing(OfCall):
 class Withheld(OfCall):
     """Open when the call has waited `seconds` for withheld resources, those of abandoned requests that may still go on."""
 
-    call: int
     seconds: float
     action: TransitionAction | None
     """Action of the transition that waits: a request to be sent may need other resources than one that goes on."""
@@ -300,7 +288,6 @@ class Withheld(OfCall):
 class Adopted(OfCall):
     """Open when another run has sent the call's request, which is under way, and this run has not taken it over yet."""
 
-    call: int
     opened_by = Opener.HANDOVER
     reads = KnowledgeRead.NOTHING
 
@@ -309,7 +296,6 @@ class Adopted(OfCall):
 class Accepts(OfCall):
     """Opened by the report that the call's request was accepted."""
 
-    call: int
     opened_by = Opener.REPORT
     reads = KnowledgeRead.NOTHING
     goes_well = True
@@ -319,7 +305,6 @@ class Accepts(OfCall):
 class Ends(OfCall):
     """Opened by the report that the call's request ended in one of these ways."""
 
-    call: int
     kinds: frozenset[OutcomeKind]
     opened_by = Opener.REPORT
     reads = KnowledgeRead.NOTHING
@@ -339,10 +324,10 @@ class Ends(OfCall):
 # --- time -------------------------------------------------------------------------------------
 
 
+@dataclass(frozen=True, slots=True)
 class _OfTime(GuardKind):
     """A guard that opens by itself, unless one of its limits is infinite."""
 
-    __slots__ = ()
     seconds: float
     opened_by = Opener.TIME
     reads = KnowledgeRead.NOTHING
@@ -360,7 +345,6 @@ class _OfTime(GuardKind):
 class After(_OfTime):
     """Open when the token has been in the place for `seconds`."""
 
-    seconds: float
     is_check = False
 
 
@@ -368,7 +352,6 @@ class After(_OfTime):
 class Late(_OfTime):
     """Open when the token has been in the place for `seconds`, pauses apart; it tells why `awaited`, asked before it, has not been true."""
 
-    seconds: float
     awaited: Condition
     is_check = True
 
@@ -377,7 +360,6 @@ class Late(_OfTime):
 class Due(_OfTime):
     """Open `seconds` after the origin of the run, the moment it was planned from."""
 
-    seconds: float
     since: tuple[tuple[str, float], ...] = ()
     """And for each of these places, its seconds after the place was marked."""
     is_check = True
