@@ -193,14 +193,14 @@ class Fleet:
             self._database = opened.enter_context(closing(Database(place, _LAYOUT, is_durable=True)))
             self._bell = opened.enter_context(closing(Database(place, _LAYOUT, read_only=True)))
             with self._transaction() as self._epoch:
-                self._run(_LOCK)
-                self._run(_BEGIN, parts=part.count, origin=origin)
+                self._database.run(_LOCK)
+                self._database.run(_BEGIN, parts=part.count, origin=origin)
                 ((parts, begun),) = self._read(_BEGUN)
                 if (parts, begun) != (part.count, origin):
                     found = f"{parts} parts" if parts != part.count else "other files"
                     raise InputError(f"the fleet {place} was begun with {found}; expected the same, or a new one, by another ?name=")
-                self._run(_DROP, part=part.number, kept=kept)
-                self._run(_GIVE_REST.format(journal=self._journal), part=part.number)
+                self._database.run(_DROP, part=part.number, kept=kept)
+                self._database.run(_GIVE_REST.format(journal=self._journal), part=part.number)
                 self.claimed: Final = frozenset(self._fluent(name) for (name,) in self._read(_OWN, part=part.number))
                 """The facts that are for tasks to change which go on here: the process that has begun them knew their values."""
             self.close: Final = opened.pop_all().close
@@ -210,7 +210,7 @@ class Fleet:
         """Keep a goal for a part, or for any if it is 0; return False if so many wait already, or it is there."""
         values = {"text": self._codec.text(wanted), "priority": wanted.priority, "door": self.part.number, "target": target}
         with self._transaction():
-            is_kept = self._run(_ADD, task=wanted.id.hex, most=most, **values)
+            is_kept = self._database.run(_ADD, task=wanted.id.hex, most=most, **values)
             self._announce()
         return bool(is_kept)
 
@@ -219,9 +219,9 @@ class Fleet:
         part = self.part.number
         with self._exchange() as facts:
             if room:
-                self._run(_TAKE, part=part, parts=self.part.count, room=room)
+                self._database.run(_TAKE, part=part, parts=self.part.count, room=room)
             taken = self._read(_TAKEN, part=part)
-            if self._run(_END.format(journal=self._journal), part=part):
+            if self._database.run(_END.format(journal=self._journal), part=part):
                 self._announce()
             cancelled, ended = self._read(_CANCELLED, part=part), self._read(_TELL, part=part)
         return FleetNews(
@@ -269,7 +269,7 @@ class Fleet:
         """
         with self._transaction():
             if self._changed or self._given or is_alone:
-                self._run(_LOCK)
+                self._database.run(_LOCK)
             if self._changed or self._given:
                 own = {"part": self.part.number}
                 shared = [own | {"name": self._codec.text(fluent), "value": self._codec.text(now)} for fluent, now in self._changed.items()]
@@ -291,13 +291,13 @@ class Fleet:
     def refuse(self, task: UUID, ending: TaskEnding) -> None:
         """Keep how a goal has ended that no journal has."""
         with self._transaction():
-            self._run(_REFUSE, task=task.hex, ending=self._codec.text(ending))
+            self._database.run(_REFUSE, task=task.hex, ending=self._codec.text(ending))
             self._announce()
 
     def cancel(self, task: UUID, ending: TaskEnding) -> None:
         """Have the part cancel a goal that has taken it; if none has, it ends so."""
         with self._transaction():
-            self._run(_CANCEL, task=task.hex, ending=self._codec.text(ending))
+            self._database.run(_CANCEL, task=task.hex, ending=self._codec.text(ending))
             self._announce()
 
     def of_door(self) -> list[tuple[Wanted, TaskEnding | None]]:
@@ -332,9 +332,6 @@ class Fleet:
             if epoch == 0 or self._epoch not in (0, epoch):
                 raise JournalError(f"another process has taken over the part {self.part} of the fleet {self._place}")
             yield int(epoch)
-
-    def _run(self, sql: str, **values: object) -> Rows:
-        return self._database.run(sql, **values)
 
     def _read(self, query: SqlQuery, **values: object) -> Rows:
         return self._database.read(SqlQuery(query.sql.format(journal=self._journal), query.columns), **values)

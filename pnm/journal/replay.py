@@ -63,11 +63,6 @@ class ReplayedRun:
     used: TimeUsed | None = None
     """The used part of its limit, if it has one."""
 
-    @property
-    def left_at(self) -> float:
-        """The time at which its process has left it."""
-        return self.replay.now
-
 
 @dataclass
 class ReplayedTask:

@@ -139,7 +139,8 @@ class JournalFile:
                     self._database.do(lambda driver: driver.check())
                 home = Home.of(place, node) if node is not None else None
                 self.epoch: Final = self._begin_epoch(wall, home, adopts, log_is_there or not lock, only_free=lease is not None)
-                self._last, self._segment = self._number(tables.LAST), self._number(tables.LAST_SEGMENT)
+                self._last, self.segment = self._number(tables.LAST), self._number(tables.LAST_SEGMENT)
+                """The last record, and the first one of the segment that goes on."""
                 walls = self._database.read(tables.SEGMENTS)
                 self.segment_wall: Final = walls[-1][1] if walls else wall
                 """The time of day when the last segment began when the journal was opened."""
@@ -191,15 +192,10 @@ class JournalFile:
         """
         with self._transaction() as kept:
             first = self._last + 1
-            segment = max((number for number, row in enumerate(rows, first) if row.begins is not None), default=self._segment)
+            segment = max((number for number, row in enumerate(rows, first) if row.begins is not None), default=self.segment)
             kept.append(commit := _Commit(first, tuple(rows), dict(parts), segment))
             self._keep(commit)
         self._mark()
-
-    @property
-    def segment(self) -> int:
-        """The first record of the segment that goes on."""
-        return self._segment
 
     def look(self) -> None:
         """Raise a `JournalError` if the journal is not where others look for it, as when its file was deleted or moved."""
@@ -285,7 +281,7 @@ class JournalFile:
                 self._mend(int(last) if epoch == self.epoch else 0)
                 yield kept
             for commit in kept:
-                self._last, self._segment = commit.last, commit.segment
+                self._last, self.segment = commit.last, commit.segment
             if is_renewal:
                 self._recent.clear()
             elif not isinstance(self.place, Path):  # a file is not there without its last records while this process is

@@ -202,11 +202,6 @@ def register_source(name: str, factory: Factory, *, layer: Layer = Layer.GLOBAL)
     _registered[name] = _Registered(lambda: factory, layer)
 
 
-def source_names() -> tuple[str, ...]:
-    """Return the names of all registered sources."""
-    return tuple(sorted(_all()))
-
-
 def check_source(name: str, position: Position | None = None) -> str:
     """Return the registered name for a name in a file: itself, or the last part of ``module.class``; raise `InputError` for others."""
     known = _all()

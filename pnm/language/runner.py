@@ -244,7 +244,7 @@ class PlanRunner:
         run = self.journal.go_on(replayed, observer, client.goal_fields)
         plan_run = self._plan_run(run, client, name)
         if replayed.used:
-            plan_run.limit.continue_from(replayed.used, replayed.left_at)
+            plan_run.limit.continue_from(replayed.used, replayed.replay.now)
         return plan_run
 
     def _plan_run(self, run: Run, client: PlansClient, name: str) -> PlanRun:

@@ -77,16 +77,6 @@ class PetriNet:
                     found[place][number].append(transition)
         return {place: (tuple(giving), tuple(taking)) for place, (giving, taking) in found.items()}
 
-    def incidence(self) -> tuple[tuple[int, ...], ...]:
-        """Return D = D⁺ - D⁻, a row per transition and a column per place: what one firing of each transition changes.
-
-        Dense, so for small nets: with it the state equation m' = T·D + m of the paper (equation 2) is the oracle of firing.
-        """
-        return tuple(
-            tuple(self.outputs[transition].get(place, 0) - self.inputs[transition].get(place, 0) for place in self.places)
-            for transition in self.inputs
-        )
-
     def __repr__(self) -> str:
         return f"<PetriNet {len(self.places)} places, {len(self.inputs)} transitions>"
 

@@ -13,7 +13,7 @@ from pnm.core.logic.computed_values import MISSING, Layer, Question
 from pnm.errors import InputError, Position
 from pnm.knowledge import sources
 from pnm.knowledge.source import Asker, MemoryKnowledge, SourceError, read_value, write_value
-from pnm.knowledge.sources import SourceChoice, Sources, Surroundings, check_source, open_sources, register_source, source_names
+from pnm.knowledge.sources import SourceChoice, Sources, Surroundings, check_source, open_sources, register_source
 from tests.support.logic.people import DelayedSource, about, run_questions
 
 ME = Asker(UUID(int=7), "tour")
@@ -213,7 +213,6 @@ def test_a_source_of_a_package(registered: None, tmp_path: Path, monkeypatch: py
     )
     (package / "entry_points.txt").write_text("\n".join(points))
     monkeypatch.syspath_prepend(str(tmp_path))
-    assert {"shops", "broken", "screen"} <= set(source_names())
     assert (
         repr(open_sources([SourceChoice("shops"), SourceChoice("screen")], Surroundings()))
         == "<Sources <MemoryKnowledge>; <MemoryKnowledge>>"

@@ -57,7 +57,8 @@ def missing_inputs(net: PetriNet, marking: Marking) -> list[int]:
 def test_engine_definition_and_matrix_equation_agree(run: tuple[PetriNet, Marking, list[Firing]]) -> None:
     net, marking, firings = run
     engine, dense = Engine(block_net(net), numbered(net, marking)), np.array(tokens(net, marking))
-    incidence = np.array(net.incidence(), dtype=np.int64).reshape(len(net.transitions), len(net.places))
+    changes = [[net.outputs[one].get(place, 0) - net.inputs[one].get(place, 0) for place in net.places] for one in net.transitions]
+    incidence = np.array(changes, dtype=np.int64).reshape(len(net.transitions), len(net.places))
     for transition, times in firings:
         number = net.transitions.index(transition)
         vector = np.zeros(len(net.transitions), dtype=np.int64)
@@ -167,8 +168,8 @@ def test_a_place_that_is_named_twice_has_two_arcs(twice: Iterable[str]) -> None:
     builder = NetBuilder()
     p, q = builder.place("p"), builder.place("q")
     builder.transition("t", twice, [p, q])
-    assert builder.build().inputs["t"] == {"p": 2, "q": 1}
-    assert builder.build().incidence() == ((-1, 0),)
+    net = builder.build()
+    assert (net.inputs["t"], net.outputs["t"]) == ({"p": 2, "q": 1}, {"p": 1, "q": 1})
 
 
 # --- orders of time: tokens go forward, but for the arcs that are said to lead back ---
