@@ -15,14 +15,14 @@ from typing import Final
 from planner_bridge.model.grounding import problem_now, with_found
 from planner_bridge.model.problem import Problem
 from planner_bridge.pddl import write_domain, write_problem
-from planner_bridge.pddl.expressions import Group, Node, number, number_text, operands, parse, where, wrong
+from planner_bridge.pddl.expressions import Group, Node, number_text, operands, parse, where, wrong
 from planner_bridge.pddl.formulas import TermScope, condition
 from planner_bridge.pddl.requirements import Requirements
 from planner_bridge.pddl.symbols import SymbolTable
 from pnm.core.knowledge_base import KnowledgeBase, statement_text
 from pnm.core.logic.conditions import Condition, choices_in, evaluate
 from pnm.core.logic.domain import MAX_CHOICES, check_choices
-from pnm.core.logic.expressions import UNDEFINED, UNKNOWN, Constant, Fluent, State, Unknown, Value, fluent_text, same_value
+from pnm.core.logic.expressions import UNDEFINED, UNKNOWN, Fluent, State, Unknown, Value, fluent_text, same_value
 from pnm.errors import InputError, Position, suggestion
 from pnm.files.yaml_nodes import load_yaml
 
@@ -253,13 +253,7 @@ class SharedWorld:
         if not isinstance(node, Group) or node.head != "=":
             return self._fact(node), True
         target, value = operands(node, 2)
-        fluent, types = self._scope.function(target), self._scope.symbols.function(target).values
-        if not types:
-            return fluent, number(value)
-        constant = self._scope.value(value, types)
-        if not isinstance(constant, Constant):
-            raise wrong(value, f"expected an object, found {value}")
-        return fluent, constant.value
+        return self._scope.assigned(target, value)
 
     def _removed(self, node: Node) -> tuple[Fluent, Value]:
         if not isinstance(node, Group) or node.head != "=":

@@ -29,7 +29,7 @@ from planner_bridge.pddl.symbols import CONSTRAINTS, OUTCOMES, SymbolTable
 from pnm.core.logic.conditions import TRUE, Any, Compare, Condition, Exists, ForAll, Holds, Implies, Not, conjunction
 from pnm.core.logic.domain import Declaration, Preference
 from pnm.core.logic.effects import CHANCES_MISS, OPERATIONS, Alternative, Effects, ForEach, OneOf, Set, When
-from pnm.core.logic.expressions import DURATION, UNDEFINED, Arithmetic, Constant, Expression, Fluent, ValueOf, Variable
+from pnm.core.logic.expressions import DURATION, UNDEFINED, Arithmetic, Constant, Expression, Fluent, Value, ValueOf, Variable
 from pnm.core.logic.trajectory import Constraint
 from pnm.errors import InputError, counted
 
@@ -74,6 +74,16 @@ class TermScope:
     def function(self, node: Node) -> Fluent:
         """Read a function with its arguments."""
         return self._fluent(node, self.symbols.function(node))
+
+    def assigned(self, target: Node, given: Node) -> tuple[Fluent, Value]:
+        """Read a function with its arguments, and the number or the object that it is given."""
+        fluent, types = self.function(target), self.symbols.function(target).values
+        if not types:
+            return fluent, number(given)
+        constant = self.value(given, types)
+        if not isinstance(constant, Constant):
+            raise wrong(given, f"expected an object, found {given}")
+        return fluent, constant.value
 
     def _fluent(self, node: Node, declared: Declaration) -> Fluent:
         given = node.rest if isinstance(node, Group) else ()

@@ -27,7 +27,6 @@ from planner_bridge.pddl.expressions import (
     Node,
     is_number,
     new_name,
-    number,
     operands,
     show_types,
     text_of,
@@ -51,7 +50,7 @@ from planner_bridge.pddl.writer import ACTION, COMPOUND, PARTS, fact_anchor, for
 from pnm.core.logic.conditions import TRUE, Compare, Condition, every_part
 from pnm.core.logic.domain import ActionSchema, Declaration, Preference, ProblemModel, check_choices
 from pnm.core.logic.effects import Set, TimedChange, every_effect
-from pnm.core.logic.expressions import Constant, Fluent, Value, Variable, expression_fluents, fluent_text
+from pnm.core.logic.expressions import Fluent, Value, Variable, expression_fluents, fluent_text
 from pnm.core.logic.rules import DerivationRule, Rules, UnstratifiedError
 from pnm.errors import Tolerated, counted
 from pnm.files.text import read_any_text
@@ -323,14 +322,7 @@ def _change(node: Node, scope: TermScope) -> _Change | None:
             if scope.symbols.is_undeclared(target):
                 Leniency.VALUE_UNDECLARED.note(node, target)
                 return None
-            declared = scope.symbols.function(target)
-            fluent = scope.function(target)
-            if not declared.values:
-                return fluent, number(value)
-            constant = scope.value(value, declared.values)
-            if not isinstance(constant, Constant):
-                raise wrong(value, f"expected an object, found {value}")
-            return fluent, constant.value
+            return scope.assigned(target, value)
         case Group() if node.head == "not":
             (negated,) = operands(node, 1)
             fact = _fact(negated, scope)
