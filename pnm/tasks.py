@@ -140,6 +140,11 @@ class Wanted:
     server: str = ""
     """The action by which it came, without namespaces; empty for none."""
 
+    @property
+    def words(self) -> str:
+        """Its text; words for one without."""
+        return self.text or "the goal of the problem"
+
 
 def percent(chance: float) -> str:
     """Return a chance in words, with as many places as tell it from 0 and from 1."""

@@ -29,7 +29,7 @@ from pnm.files.database.place import Place, place_of
 from pnm.journal.codec import Undecodable
 from pnm.journal.kept import DAY, KEPT, LISTED, JournalChoice, JournalError
 from pnm.journal.lease import take
-from pnm.journal.records import Happened, RunMade, TaskAccepted, TaskSummary
+from pnm.journal.records import Happened, RunMade, TaskSummary
 from pnm.journal.replay import Replay, ReplayStep, words
 from pnm.journal.resume import command_of, replay_steps, summaries
 from pnm.journal.store import KeptJournal, copy_journal, move_journal
@@ -335,7 +335,7 @@ def _print_state(state: Replay, console: SafeConsole) -> None:
     """Print the state after the last record: tasks, marked places, facts."""
     for id, task in state.tasks.items():
         doing = "over" if task.ending else "not over"
-        console.print(Text(f"task {id.hex[:8]}  {_name(task.accepted)}: {doing}"))
+        console.print(Text(f"task {id.hex[:8]}  {task.accepted.wanted.words}: {doing}"))
     for replayed in state.runs.values():
         if not replayed.is_over:
             console.print(Text(f"run {replayed.run.id.hex[:8]}  of {replayed.made.name}"))
@@ -360,10 +360,6 @@ def _as_json(step: ReplayStep, state: Replay) -> dict[str, Any]:
     return entry
 
 
-def _name(task: TaskAccepted) -> str:
-    return task.wanted.text or "the goal of the problem"
-
-
 def _print_task(task: TaskSummary, console: SafeConsole) -> None:
     at = datetime.fromtimestamp(task.accepted.wall).astimezone().strftime("%Y-%m-%d %H:%M:%S")
     ending = task.ending
@@ -372,5 +368,5 @@ def _print_task(task: TaskSummary, console: SafeConsole) -> None:
     else:
         after = "" if task.seconds is None else f" after {task.seconds:.1f} s"
         text = f"{ending.code.word}{after}: {ending.message}"
-    console.print(Text(f"{at}  {task.accepted.wanted.id.hex[:8]}  {_name(task.accepted)}"))
+    console.print(Text(f"{at}  {task.accepted.wanted.id.hex[:8]}  {task.accepted.wanted.words}"))
     console.print(Text(f"{'':21}{text}", style="" if ending else "yellow"))

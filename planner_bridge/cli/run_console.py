@@ -23,7 +23,7 @@ from planner_bridge.view.serving import Operator, PageProcess
 from pnm.core.execution.call_results import Explanation, Failure, RunResult
 from pnm.core.execution.events import Fired
 from pnm.core.machine.machine import PetriNetMachine
-from pnm.core.machine.plan_graph import ActionCall, GroundAction
+from pnm.core.machine.plan_graph import ActionCall, GroundAction, step_words
 from pnm.core.machine.requests import Outcome, OutcomeKind, Request
 from pnm.core.machine.verification.verify import Proof
 from pnm.errors import Tolerated, counted
@@ -206,7 +206,7 @@ class ConsoleObserver(TaskObserver):
         step = failure.call
         self._news.pop(step.index, None)
         attempts = self._attempts.pop(step.index, 1)
-        named = step.action if isinstance(step, ActionCall) else step
+        named = step_words(step)
         tried = f" in {attempts} attempts" if attempts > 1 else ""
         self._print(now, "[bold red]failed[/]", f"{named}{tried}: {failure.cause}{self._new(named, failure.details)}")
 

@@ -252,7 +252,7 @@ class TaskHistory:
     @property
     def name(self) -> str:
         """Its subject."""
-        return self.accepted.wanted.text or "the goal of the problem"
+        return self.accepted.wanted.words
 
     @property
     def own_runs(self) -> tuple[RunHistory, ...]:

@@ -19,7 +19,7 @@ from pnm.core.logic.computed_values import Unanswered
 from pnm.core.logic.conditions import TRUE, All, conjuncts, evaluate, fluents, observed
 from pnm.core.logic.effects import written
 from pnm.core.logic.expressions import Fluent, fluent_text
-from pnm.core.machine.plan_graph import ActionCall, Moment, Ordering
+from pnm.core.machine.plan_graph import ActionCall, Moment, Ordering, step_words
 from pnm.core.machine.requests import CallOutcome
 from pnm.core.pictures.timeline import Replan
 from pnm.errors import InputError, PnmError, counted, suggestion
@@ -264,8 +264,7 @@ def why_failed(history: JournalHistory, run: RunHistory) -> Iterator[Answer]:
             before.append(Answer(text, Known.JOURNAL))
         for recovery in step.recoveries if isinstance(step, ActionCall) else ():
             if not recovery.causes.isdisjoint({failed.cause.cause, *(trouble.cause.cause for trouble in hindered)}):
-                steps = [str(step.action if isinstance(step, ActionCall) else step) for step in recovery.chain.steps]
-                words = ", then ".join([*steps, recovery.then.value])
+                words = ", then ".join([*map(step_words, recovery.chain.steps), recovery.then.value])
                 before.append(Answer(f"its plan has a recovery for that: {words}", Known.GIVEN))
         name = f"#{step.index} {step.action}" if isinstance(step, ActionCall) else str(step)
         yield Answer(f"{name} failed at {failed.time - began:.2f} s: {_cause(failed)}", Known.JOURNAL, tuple(before))

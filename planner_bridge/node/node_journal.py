@@ -75,7 +75,7 @@ def left_behind(place: Path) -> Iterator[str]:
     for other in sorted(place.parent.glob(f"{place.name.rpartition('-')[0]}-*{SUFFIX}")):
         if other != place:
             with suppress(PnmError):  # of another version, or no journal
-                names = [task.accepted.wanted.text or "the goal of the problem" for task in summaries(other, TASKS) if task.ending is None]
+                names = [task.accepted.wanted.words for task in summaries(other, TASKS) if task.ending is None]
                 if names:
                     yield f"not finished with the files that this node had before: {', '.join(names)}; with them, they go on ({other})"
 

@@ -20,7 +20,7 @@ from pnm.core.logic import domain, trajectory
 from pnm.core.logic.trajectory import Constraint, ConstraintProgress
 from pnm.core.machine.failure_causes import FailureKind
 from pnm.core.machine.machine import PetriNetMachine
-from pnm.core.machine.plan_graph import ActionCall
+from pnm.core.machine.plan_graph import step_words
 from pnm.core.machine.requests import CallOutcome
 from pnm.errors import counted
 from pnm.journal.codec import RECORDS, value_classes
@@ -414,8 +414,7 @@ def retry_reason(seconds: float, result: RunResult) -> str:
     """Return when a plan is tried again, and why its run has failed."""
     event = result.reason
     if result.failures:
-        call, cause = result.failures[-1].call, result.failures[-1].cause
-        event = f"{call.action if isinstance(call, ActionCall) else call} {cause.happened}"
+        event = f"{step_words(result.failures[-1].call)} {result.failures[-1].cause.happened}"
     return f"tries again in {seconds:g} s after {event}"
 
 

@@ -139,7 +139,7 @@ class Task(TaskObserver):
     @property
     def name(self) -> str:
         """The name of the task for people."""
-        return f"{self.wanted.text or 'the goal of the problem'} ({self.id.hex[:8]})"
+        return f"{self.wanted.words} ({self.id.hex[:8]})"
 
     @property
     def is_active(self) -> bool:

@@ -29,7 +29,7 @@ from pnm.core.execution.questions import EvaluationContext
 from pnm.core.logic.computed_values import Layer, Unanswered
 from pnm.core.logic.conditions import Condition, conjuncts, evaluate, fluents, observed
 from pnm.core.logic.expressions import Fluent, Unknown, Value, fluent_text, text_of
-from pnm.core.machine.plan_graph import ActionCall, Ordering, PlanEvent, Recovery, Step
+from pnm.core.machine.plan_graph import Ordering, PlanEvent, step_words
 from pnm.core.machine.requests import CallOutcome, Ended, OutcomeKind
 from pnm.core.pictures.timeline import TimedAttempt, TimedCall, TimedPlan, Timeline, timeline_svg
 from pnm.errors import PnmError
@@ -317,7 +317,7 @@ def _reason(task: TaskHistory) -> str:
     if task.decision:  # about what follows the last run
         return decision_words(task.decision)
     if run.failures:
-        failed = f"{_step_text(run.failures[-1].step)} has failed: {run.failures[-1].cause.cause}"
+        failed = f"{step_words(run.failures[-1].step)} has failed: {run.failures[-1].cause.cause}"
         return f"{failed}; running calls come to their ends" if task.state is TaskState.RUNNING else failed
     going_on = [str(call.action) for call in run.executed().run.open_calls.values()]
     return f"{', '.join(going_on)} {'run' if len(going_on) > 1 else 'runs'}" if going_on else ""
@@ -364,7 +364,7 @@ def _trouble(run: RunHistory, trouble: Trouble) -> Thing:
     return {
         "run": run.id.hex,
         "call": trouble.step.index,
-        "step": _step_text(trouble.step),
+        "step": step_words(trouble.step),
         "is_failure": trouble.is_failure,
         "cause": trouble.cause.cause.value,
         "expected": trouble.cause.expected,
@@ -372,10 +372,6 @@ def _trouble(run: RunHistory, trouble: Trouble) -> Thing:
         "time": trouble.time,
         "followed": trouble.followed,
     }
-
-
-def _step_text(step: Step) -> str:
-    return str(step.action if isinstance(step, ActionCall) else step)
 
 
 def _servers(story: Story) -> dict[str, Thing]:
@@ -469,6 +465,7 @@ def detail(story: Story, run: UUID, index: int) -> dict[str, Any] | None:
     for claim in replay.resources.held:
         for name in claim.names if claim.request in replay.requests else ():
             holders.setdefault(name, []).append(str(replay.requests[claim.request].action))
+    recoveries = [(one, ", ".join(map(step_words, one.chain.steps))) for one in call.recoveries]
     orderings = [each for each in found.source.plan.orderings if each.before.call != each.after.call]
     return {
         "run": run.hex,
@@ -483,7 +480,9 @@ def detail(story: Story, run: UUID, index: int) -> dict[str, Any] | None:
         "checks": [_check(story, when, part, context) for when, condition in conditions for part in conjuncts(condition)],
         "effects": [f"at the start: {effect}" for effect in action.start_effects]
         + [f"at the end: {effect}" for effect in action.end_effects],
-        "recoveries": list(map(_recovery, call.recoveries)),
+        "recoveries": [
+            f"after {', '.join(sorted(one.causes))}: {chain and f'{chain}, then '}{one.then.value}" for one, chain in recoveries
+        ],
         **_block(found, index),
     }
 
@@ -492,7 +491,7 @@ def _wait(run: RunHistory, ordering: Ordering, other: PlanEvent) -> dict[str, An
     """Return an ordering with the event of another call that is waited for, or waits."""
     return {
         "call": other.call,
-        "action": _step_text(run.steps[other.call]),
+        "action": step_words(run.steps[other.call]),
         "moment": other.moment.value,
         "protects": list(map(fluent_text, ordering.protects)),
         "has_come": run.time_of(ordering.before) is not None,
@@ -527,11 +526,6 @@ def _sources(read: frozenset[Fluent], context: EvaluationContext) -> str:
         "assumed": any(not context.world.is_sensed(fluent) for fluent in read - derived),
     }
     return ", ".join(way for way, is_so in ways.items() if is_so) or "computed"
-
-
-def _recovery(recovery: Recovery) -> str:
-    chain = ", ".join(map(_step_text, recovery.chain.steps))
-    return f"after {', '.join(sorted(recovery.causes))}: {f'{chain}, then ' if chain else ''}{recovery.then.value}"
 
 
 def _block(run: RunHistory, index: int) -> dict[str, Any]:

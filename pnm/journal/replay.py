@@ -297,7 +297,7 @@ def words(step: ReplayStep, replay: Replay) -> tuple[str, ...]:
         case records.EndConfirmed(request):
             return (f"{request.hex[:8]} has ended at last: its resources are free",)
         case records.TaskAccepted(wanted):
-            return (f"accepted {wanted.text or 'the goal of the problem'}",)
+            return (f"accepted {wanted.words}",)
         case records.TaskHeld(task, is_held):
             return (f"{'paused' if is_held else 'resumed'} {'all' if task is None else task.hex[:8]}",)
         case records.TaskEntered(task, state, reason):

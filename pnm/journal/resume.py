@@ -332,4 +332,4 @@ class _Candidate:
 
 
 def _names(tasks: Sequence[TaskSummary]) -> str:
-    return ", ".join(task.accepted.wanted.text or "the goal of the problem" for task in tasks)
+    return ", ".join(task.accepted.wanted.words for task in tasks)

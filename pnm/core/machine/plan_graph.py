@@ -306,6 +306,11 @@ Conditional: TypeAlias = Loop | Choice | WaitUntil
 Step: TypeAlias = ActionCall | Conditional | Junction
 
 
+def step_words(step: Step) -> str:
+    """Return a step in words, a call without its number."""
+    return str(step.action if isinstance(step, ActionCall) else step)
+
+
 @dataclass(frozen=True, slots=True)
 class Flow:
     """Steps, and orderings between their events."""
