@@ -544,8 +544,15 @@ class JournalHistory:
                     run.sent.setdefault(index, []).append(request)
                     run.requests += action.operation is None
                     run.follow(f"tried again, attempt {number}", index)
-                case Hindered():
-                    self._note_trouble(run, told)
+                case Hindered(step=number, cause=cause, is_failure=is_failure):  # a failure replaces the hindrance that led to it
+                    step = sent_with(it, told.arguments) if isinstance(it := run.steps[number], ActionCall) else it
+                    known = [(key, run.troubles[key]) for key in run.open] if is_failure else []
+                    led = [(key, trouble) for key, trouble in known if trouble.step.index == step.index and not trouble.is_failure]
+                    key, hindrance = led[-1] if led else (f"{self.number}.{self._observed}", None)
+                    self._observed += 1
+                    sent = len(run.sent.get(step.index, ()))
+                    run.troubles[key] = Trouble(step, cause, self.number, self.time, sent, is_failure, hindrance)
+                    run.open[key] = None
                 case _:
                     assert_never(told)
         match record.event:
@@ -559,15 +566,3 @@ class JournalHistory:
                 self.attempts[id] = self.attempts[id]._replace(ended=self.time, outcome=outcome)
             case _:
                 pass
-
-    def _note_trouble(self, run: RunHistory, told: Hindered) -> None:
-        """Note a hindrance or a failure of a step. A failure replaces the hindrance that led to it."""
-        step, cause, is_failure = run.steps[told.step], told.cause, told.is_failure
-        if isinstance(step, ActionCall):
-            step = sent_with(step, told.arguments)
-        known = [(key, run.troubles[key]) for key in run.open] if is_failure else []
-        led = [(key, trouble) for key, trouble in known if trouble.step.index == step.index and not trouble.is_failure]
-        key, hindrance = led[-1] if led else (f"{self.number}.{self._observed}", None)
-        self._observed += 1
-        run.troubles[key] = Trouble(step, cause, self.number, self.time, len(run.sent.get(step.index, ())), is_failure, hindrance)
-        run.open[key] = None

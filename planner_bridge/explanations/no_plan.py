@@ -143,16 +143,13 @@ class DeadEnds:
             return self._proved(condition, f"{condition} would be needed for itself", ())
         if end := self._end(literal):
             return self._proved(condition, end, ())
-        if condition in self.seen or len(path) >= _DEPTH or sum(map(self._is_knot, path)) >= _KNOTS:
+        # every way to a knot leads through itself, or through others of which that is so: no end is nearer than others
+        knots = sum((one := literal_of(part)) is not None and self.reachability.way(one).by is None for part in path)
+        if condition in self.seen or len(path) >= _DEPTH or knots >= _KNOTS:
             return self._proved(condition, f"{condition} can never be true{', as said above' if condition in self.seen else ''}", ())
         self.seen.add(condition)
         reasons, others = self._ways(literal, (*path, condition))
         return self._proved(condition, f"{condition} can never be true{_closed(others)}", reasons)
-
-    def _is_knot(self, condition: Condition) -> bool:
-        """Return whether every way to a fact leads through itself, or through others of which that is so: no end is nearer than others."""
-        literal = literal_of(condition)
-        return literal is not None and self.reachability.way(literal).by is None
 
     def _proved(self, condition: Condition, text: str, reasons: tuple[Answer, ...]) -> Answer:
         asked = replace(self.problem, goal=condition, constraints=(), preferences=(), metric=None, network="")

@@ -109,7 +109,19 @@ class GoalLoop:
                 if ended and ended.can_be_helped and self._context.helper is not None:
                     ended = await self._helped(ended, self._context.helper)
                 if ended is not None:
-                    return self._result(ended)
+                    break
+            self._context.scheduler.release(self._context.task)
+            monitor, now = self._monitor.constraints, self._monitor.elapsed
+            return TaskResult(
+                ended.code,
+                ended.reason,
+                self._log.plans,
+                tuple(self._log.episodes),
+                self._context.task.stopwatch.seconds,
+                self._monitor.began,
+                monitor.constraint_results(now),
+                monitor.preference_results(now),
+            )
 
     async def _attempt(self) -> TaskEnded:
         """Plan, execute and replan; return how the task ends if nothing helps."""
@@ -457,17 +469,3 @@ class GoalLoop:
         now, made = self._monitor.now(), stretch_graph if self._given is None else plan_graph
         with self._context.task.stopwatch.of("translate"):
             return await self._control.until(asyncio.to_thread(made, now, plan, [one.call for one in under_way]))
-
-    def _result(self, ended: TaskEnded) -> TaskResult:
-        self._context.scheduler.release(self._context.task)
-        monitor, now = self._monitor.constraints, self._monitor.elapsed
-        return TaskResult(
-            ended.code,
-            ended.reason,
-            self._log.plans,
-            tuple(self._log.episodes),
-            self._context.task.stopwatch.seconds,
-            self._monitor.began,
-            monitor.constraint_results(now),
-            monitor.preference_results(now),
-        )

@@ -191,7 +191,15 @@ class PlanTask:
         unconfirmed = (call_result.call.action for call_result in result.calls if call_result.kind is CallOutcome.UNCONFIRMED)
         history = History.of_plan(given_up, unconfirmed, context.settings.limits)
         try:
-            problem = await self._problem(result.began)
+            plan = self._plan_run.program.plan
+            if plan.goal == TRUE:
+                raise InputError(f"the plan {plan.name} has no goal")
+            if not plan.domain_file:
+                raise InputError(f"the plan {plan.name} has no domain")
+            contents = await context.control.in_thread(partial(read, Path(plan.domain_file)))
+            described = replace(contents.problem or Problem(plan.name, contents.domain), timed=plan.timed)  # those still to come
+            elapsed = asyncio.get_running_loop().time() - result.began
+            problem = replace(problem_now(described, context.world, elapsed), goal=plan.goal)
             later = [replayed for replayed in self._kept.runs[1:] if replayed.made.caller is None] if self._kept else []
             is_kept = self._kept and (later or self._kept.notes)  # decided after it failed
             kept = replace(self._kept, runs=later) if self._kept and is_kept else None
@@ -208,15 +216,3 @@ class PlanTask:
             constraints=rest.constraints,
             preferences=rest.preferences,
         )
-
-    async def _problem(self, began: float) -> Problem:
-        """Return the problem of reaching the plan's goal from the world as it is, with the timed changes that are still to come."""
-        plan = self._plan_run.program.plan
-        if plan.goal == TRUE:
-            raise InputError(f"the plan {plan.name} has no goal")
-        if not plan.domain_file:
-            raise InputError(f"the plan {plan.name} has no domain")
-        contents = await self._context.control.in_thread(partial(read, Path(plan.domain_file)))
-        described = contents.problem or Problem(plan.name, contents.domain)
-        elapsed = asyncio.get_running_loop().time() - began
-        return replace(problem_now(replace(described, timed=plan.timed), self._context.world, elapsed), goal=plan.goal)
