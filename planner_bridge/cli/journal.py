@@ -63,7 +63,17 @@ def replay(journal: str | None, last: int | None, as_json: bool, timeline: Path 
         options.write(timeline, picture, force=force)
         return 0
     if view is not None:
-        return _show(chosen_journal(journal), view)
+        from planner_bridge.view.serving import listening, url_of
+
+        place = chosen_journal(journal)
+        with errors_of_journals():
+            KeptJournal(place).close()  # which says what is wrong with it now
+        opened = listening(view)
+        print(f"view     {url_of(opened)}", file=sys.stderr, flush=True)
+        from planner_bridge.view.app import serve_page  # here, because what it needs is an extra, which is there by now
+
+        serve_page(place, opened)
+        return 0
     console = SafeConsole()
     state = Replay()
     with errors_of_journals():
@@ -237,20 +247,6 @@ def _file(journal: str) -> Path:
     if not isinstance(place, Path):
         raise InputError("a journal in PostgreSQL is moved and copied with tools of the database, such as pg_dump; expected a file")
     return place
-
-
-def _show(journal: Place, port: int) -> int:
-    """Show a journal on a page until Ctrl-C."""
-    from planner_bridge.view.serving import listening, url_of
-
-    with errors_of_journals():
-        KeptJournal(journal).close()  # which says what is wrong with it now
-    opened = listening(port)
-    print(f"view     {url_of(opened)}", file=sys.stderr, flush=True)
-    from planner_bridge.view.app import serve_page  # here, because what it needs is an extra, which is there by now
-
-    serve_page(journal, opened)
-    return 0
 
 
 _ACTS: Final = {

@@ -83,21 +83,19 @@ def why(
     loaded = problem_in(domain, problem)
     if journal is not None:
         loaded = _in_the_middle(loaded, journal, task, last)
-    show(_of_problem(loaded, called, other, seconds), as_json=as_json)
-    return 0
-
-
-def _of_problem(problem: Problem, called: str | None, other: str | None, seconds: float) -> Sequence[Answer]:
-    unwanted = None if other is None else _call(problem, other, "--not")
-    wanted = None if called is None or called.strip("# ").isdecimal() else _call(problem, called, "--call")
+    unwanted = None if other is None else _call(loaded, other, "--not")
+    wanted = None if called is None or called.strip("# ").isdecimal() else _call(loaded, called, "--call")
     limit = AnswerLimit.of(seconds)
     with searching(DEFAULT_PLANNER, seconds):
-        found = limit.first_plan(problem, improve=GLANCE)
+        found = limit.first_plan(loaded, improve=GLANCE)
         if unwanted is not None:
-            return [why_not(problem, unwanted, found, limit)]
-        if found.plan is None or called is None:
-            return why_goal(problem, found, limit)
-        return [why_call_of_plan(problem, found.plan, _number(found.plan, called, wanted))]
+            answers = (why_not(loaded, unwanted, found, limit),)
+        elif found.plan is None or called is None:
+            answers = why_goal(loaded, found, limit)
+        else:
+            answers = (why_call_of_plan(loaded, found.plan, _number(found.plan, called, wanted)),)
+    show(answers, as_json=as_json)
+    return 0
 
 
 def _in_the_middle(problem: Problem, journal: str, task: str | None, last: int | None) -> Problem:
