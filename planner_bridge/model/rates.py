@@ -465,11 +465,7 @@ def read_rates(path: Path | str) -> Rates:
 
 
 def update_rates(path: Path, change: Callable[[Rates], Rates]) -> None:
-    """Have a file of rates, which is made if there is none, changed as a whole: by one process at a time, and never half.
-
-    Raises:
-        InputError: it cannot be read or written.
-    """
+    """Have a file of rates changed as a whole, by one process at a time; raise an `InputError` if it cannot be read or written."""
     try:
         folder = os.open(path.parent, os.O_RDONLY | os.O_CLOEXEC)
         try:

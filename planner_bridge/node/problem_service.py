@@ -247,9 +247,6 @@ class ProblemFolder:
     Args:
         root: None if the node has no such folder.
         initial: the file of the problem with which the node begins, which is never overwritten.
-
-    Raises:
-        InputError: there is no such folder.
     """
 
     root: Path | None

@@ -31,6 +31,10 @@ class PartialOrder:
     The starts of calls that are under way belong to the initial state. What comes before what is searched for when it is asked: the
     orderings of a plan that follow from its causal links lead directly, or in few steps, from a writer to its readers and to the next.
 
+    Args:
+        timed: what changes by itself.
+        due: before this the goal is not looked at.
+
     Raises:
         PlanGraphError: orderings and timed changes contradict each other.
     """
@@ -38,12 +42,6 @@ class PartialOrder:
     def __init__(
         self, calls: Sequence[ActionCall], orderings: Iterable[Ordering], timed: Sequence[TimedChange] = (), due: float = 0.0
     ) -> None:
-        """Order the happenings.
-
-        Args:
-            timed: what changes by itself.
-            due: before this the goal is not looked at.
-        """
         self._calls = calls
         keys: list[PlanEvent | TimedChange] = [PlanEvent(call.index, moment) for call in calls for moment in (Moment.START, Moment.END)]
         planned = [*map(self._time_of_event, keys)]  # type: ignore[arg-type]

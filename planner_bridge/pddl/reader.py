@@ -75,43 +75,28 @@ _DIRECTIONS: Final[dict[str, Literal["minimize", "maximize"]]] = {"minimize": "m
 
 
 def read_domain(path: Path | str) -> Domain:
-    """Read a PDDL domain.
-
-    Raises:
-        InputError: the file cannot be read, is not a domain, or uses PDDL that is not supported.
-    """
+    """Read a PDDL domain; raise an `InputError` if the file cannot be read, is none, or uses PDDL that is not supported."""
     text, warnings = read_any_text(path, MAX_BYTES)
     return _domain(define(text, str(path), "domain", DOMAIN_SECTIONS), warnings)
 
 
 def read_problem(path: Path | str, domain: Domain) -> Problem:
-    """Read a PDDL problem for a domain.
-
-    Raises:
-        InputError: the file cannot be read, is not a problem for this domain, or uses PDDL that is not supported.
-    """
+    """Read a PDDL problem for a domain; raise an `InputError` if the file cannot be read, is none, or uses PDDL that is not supported."""
     text, warnings = read_any_text(path, MAX_BYTES)
     return _problem(define(text, str(path), "problem", PROBLEM_SECTIONS), domain, warnings)
 
 
 def parse_domain(text: str, file: str = "domain.pddl") -> Domain:
-    """Read a PDDL domain from its text.
+    """Read a PDDL domain from its text; raise an `InputError` if it is none, or uses PDDL that is not supported.
 
     >>> parse_domain("(define (domain d) (:predicates (at ?r)))").predicates["at"].parameters
     (Variable(name='?r', types=('object',)),)
-
-    Raises:
-        InputError: the text is not a domain, or uses PDDL that is not supported.
     """
     return _domain(define(text, file, "domain", DOMAIN_SECTIONS))
 
 
 def parse_problem(text: str, domain: Domain, file: str = "problem.pddl") -> Problem:
-    """Read a PDDL problem from its text.
-
-    Raises:
-        InputError: the text is not a problem for this domain, or uses PDDL that is not supported.
-    """
+    """Read a PDDL problem for a domain from its text; raise an `InputError` if it is none, or uses PDDL that is not supported."""
     return _problem(define(text, file, "problem", PROBLEM_SECTIONS), domain)
 
 

@@ -124,12 +124,7 @@ async def achieve_at(
 
 
 def readiness(problem: Problem, settings: Settings, wait: float = 0.0) -> tuple[Readiness, ...]:
-    """Return the readiness of the action servers and sensors for a problem in the ROS graph; `wait` gives them seconds to appear.
-
-    Raises:
-        InputError: an input is wrong.
-        RosError: ROS 2 is not there.
-    """
+    """Return the readiness of the action servers and sensors for a problem in the ROS graph; `wait` gives them seconds to appear."""
     backend = backend_of("ros2", problem, settings, NO_FAULTS)
     return run_async(readiness_of(backend, initial_knowledge(problem), (), wait))
 

@@ -26,11 +26,7 @@ _SHOWN: Final = 20
 
 
 def load(domain: Path | str | Domain | None, problem: Path | str | Problem | Any) -> Problem:
-    """Return the problem, read from files where files are named.
-
-    Raises:
-        InputError: a file is wrong, cannot be read, or is not named.
-    """
+    """Return the problem, read from files where files are named; raise an `InputError` if one is wrong, cannot be read, or is not named."""
     if isinstance(problem, Problem):
         return problem
     if not isinstance(problem, Path | str):

@@ -54,7 +54,6 @@ def odds_of_goal(
     Args:
         faults: of simulated robots, which declare the chances of attempts; without any, these are learned, as the settings say, or assumed.
         seconds: of the processor for roll-outs; 0 for none.
-        most: roll-outs.
     """
     bindings, graph = settings.bindings, plan_graph(problem, plan)
     known = KnownRobots(settings.learned, faults)
@@ -184,7 +183,6 @@ class VettedPlan(Memory):
     """Looks at the odds of the first plan of a task, before anything of it has begun. The mutable state is these odds.
 
     Args:
-        settings: those of the task.
         least: the least chance with which it begins; None for any, and then there are no roll-outs.
     """
 

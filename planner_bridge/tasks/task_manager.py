@@ -148,12 +148,9 @@ class TaskManager:
         self._admit()
 
     async def run(self, wanted: Wanted, observer: TaskObserver, stopwatch: Stopwatch, replay: Replay | None = None) -> TaskResult:
-        """Carry out a task, or the one task of another process in its place, and return its result.
+        """Carry out a task, or the one task of another process in its place, and return its result; raise an `InputError` if it is wrong.
 
         Cancelling this stops the task; cancelling it again leaves it alone.
-
-        Raises:
-            InputError: there is something wrong with the task; nothing was started.
         """
         observer.managed(self)
         if replay is None:

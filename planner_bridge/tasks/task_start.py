@@ -43,15 +43,11 @@ TaskText: TypeAlias = Condition | Plan | None
 
 
 def read_text(wanted: Wanted, read_goal: Callable[[str], Condition], loaded: Collection[str], now: Problem) -> TaskText:
-    """Read the text of a task.
+    """Read the text of a task; raise an `InputError` if it is no goal, or no plan.
 
     Args:
-        read_goal: reads a goal; raises InputError.
         loaded: the names of the plans that are loaded.
         now: has the actions and objects of a plan as a text.
-
-    Raises:
-        InputError: the text is no goal, or no plan.
     """
     if not wanted.is_plan:
         return read_goal(wanted.text)

@@ -66,13 +66,9 @@ def from_unified_planning(problem: up.Problem) -> Problem:
 
 
 def to_unified_planning(problem: Problem) -> up.Problem:
-    """Turn a problem into one of unified-planning, without going through text.
+    """Turn a problem into one of unified-planning, not by text; raise an `InputError` if it uses what that cannot express.
 
-    Functions that neither a condition nor the metric reads are left out, and a name that is taken
-    already is changed.
-
-    Raises:
-        InputError: the problem uses what unified-planning cannot express.
+    Functions that neither a condition nor the metric reads are left out, and a name that is taken already is changed.
     """
     return Translation(problem, up.Problem(problem.name)).translated
 
