@@ -17,7 +17,7 @@ from planner_bridge.model.problem import Problem
 from planner_bridge.pddl import write_domain, write_problem
 from planner_bridge.pddl.expressions import Group, Node, number_text, operands, parse, where, wrong
 from planner_bridge.pddl.formulas import TermScope, condition
-from planner_bridge.pddl.requirements import Requirements
+from planner_bridge.pddl.sections import Requirements
 from planner_bridge.pddl.symbols import SymbolTable
 from pnm.core.knowledge_base import KnowledgeBase, statement_text
 from pnm.core.logic.conditions import Condition, choices_in, evaluate

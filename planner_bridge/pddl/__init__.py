@@ -2,7 +2,7 @@
 
 `expressions` → `sections` → `symbols`, `formulas`, `actions` → `reader`; `writer` is the way back.
 Every error has file, line and column, what was found and what was expected.
-`requirements` is the table of everything that is refused, or tolerated with a warning.
+`sections` has the table of everything that is refused, or tolerated with a warning.
 """
 
 from planner_bridge.pddl.reader import parse_domain, parse_problem, read_domain, read_problem

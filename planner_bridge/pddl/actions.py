@@ -21,8 +21,7 @@ from planner_bridge.pddl.formulas import (
     split_preferences,
     with_variables,
 )
-from planner_bridge.pddl.requirements import Leniency, Refused
-from planner_bridge.pddl.sections import keyed
+from planner_bridge.pddl.sections import Leniency, Refused, keyed
 from planner_bridge.pddl.symbols import SymbolTable
 from pnm.core.logic.conditions import TRUE, Condition, ForAll, conjunction
 from pnm.core.logic.domain import ActionSchema, DurationConstraint, Preference

@@ -24,7 +24,7 @@ from planner_bridge.pddl.expressions import (
     unknown,
     wrong,
 )
-from planner_bridge.pddl.requirements import Leniency, Refused
+from planner_bridge.pddl.sections import Leniency, Refused
 from planner_bridge.pddl.symbols import CONSTRAINTS, OUTCOMES, SymbolTable
 from pnm.core.logic.conditions import TRUE, Any, Compare, Condition, Exists, ForAll, Holds, Implies, Not, conjunction
 from pnm.core.logic.domain import Declaration, Preference

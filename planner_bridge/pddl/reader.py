@@ -36,8 +36,7 @@ from planner_bridge.pddl.expressions import (
     wrong,
 )
 from planner_bridge.pddl.formulas import TermScope, condition, constraints, is_reward, split_preferences
-from planner_bridge.pddl.requirements import REFUSED_IN_INIT, Leniency, Requirements, requirements
-from planner_bridge.pddl.sections import Definition, define, typed_runs
+from planner_bridge.pddl.sections import REFUSED_IN_INIT, Definition, Leniency, Requirements, define, requirements, typed_runs
 from planner_bridge.pddl.symbols import (
     SymbolTable,
     borrowed_objects,

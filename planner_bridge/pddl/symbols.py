@@ -27,8 +27,7 @@ from planner_bridge.pddl.expressions import (
     with_article,
     wrong,
 )
-from planner_bridge.pddl.requirements import REFUSED_HEADS, Leniency, Requirements
-from planner_bridge.pddl.sections import type_words, typed_runs
+from planner_bridge.pddl.sections import REFUSED_HEADS, Leniency, Requirements, type_words, typed_runs
 from pnm.core.logic.domain import Declaration
 from pnm.core.logic.expressions import Variable
 from pnm.errors import suggestion
