@@ -5,10 +5,8 @@ from __future__ import annotations
 import asyncio
 import os
 import re
-import tempfile
 import threading
 from collections.abc import Awaitable, Callable, Iterable, Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
@@ -32,7 +30,7 @@ from pnm.clock import in_own_thread
 from pnm.core.knowledge_base import KnowledgeBase
 from pnm.core.logic.conditions import Condition
 from pnm.errors import InputError
-from pnm.files.text import read_any_text
+from pnm.files.text import read_any_text, replace_file
 from pnm.language.plan import HandWrittenPlan
 from pnm.tasks import Code, MadePlan, StepState, TaskStep
 
@@ -281,18 +279,7 @@ class ProblemFolder:
                 raise InputError(f"{path}: cannot be written: the node begins with this problem; expected another name")
             if path.exists() and _PROBLEM.match(read_any_text(path, MAX_BYTES)[0]) is None:
                 raise InputError(f"{path}: cannot be written: the existing file is no PDDL problem; expected another name")
-            handle, draft = tempfile.mkstemp(dir=path.parent, prefix=".", suffix=".tmp")
-            try:
-                with open(handle, "w", encoding="utf-8") as file:
-                    file.write(problem)
-                    file.flush()
-                    os.fsync(file.fileno())
-                os.chmod(draft, 0o644)
-                os.replace(draft, path)
-            except BaseException:
-                with suppress(OSError):
-                    os.unlink(draft)
-                raise
+            replace_file(path, problem, 0o644)
         except OSError as error:
             raise InputError(f"{path}: cannot be written: {error.strerror}") from error
         return path

@@ -107,10 +107,23 @@ def private_file(path: Path) -> None:
 def write_private(path: Path, text: str) -> None:
     """Replace a file, whatever it was."""
     private_folder(path.parent)
-    draft = path.with_name(f"{path.name}.{os.urandom(4).hex()}")
-    with open(os.open(draft, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o600), "w", encoding="utf-8") as file:
-        file.write(text)
-    draft.replace(path)
+    replace_file(path, text, 0o600)
+
+
+def replace_file(path: Path, text: str, mode: int) -> None:
+    """Replace a file at once: there is the old text or the new one, whatever ends before."""
+    draft = path.with_name(f".{os.urandom(8).hex()}.tmp")
+    try:
+        with open(os.open(draft, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o600), "w", encoding="utf-8") as file:
+            file.write(text)
+            file.flush()
+            os.fsync(file.fileno())
+            os.fchmod(file.fileno(), mode)
+        draft.replace(path)
+    except BaseException:
+        with suppress(OSError):
+            draft.unlink()
+        raise
 
 
 def secret_in(folder: Path) -> bytes:
