@@ -184,7 +184,8 @@ def _ill_typed(node: Node, name: str, types: Types, needed: Types) -> InputError
 
 
 _COMPOUND: Final = ("and", "or", "not", "imply", "forall", "exists")
-_OVER_NUMBERS: Final = frozenset((*OPERANDS, *OPERATIONS, "=", "<", "<=", ">", ">=", "not"))
+_COMPARISONS: Final = ("=", "<", "<=", ">", ">=")
+_OVER_NUMBERS: Final = frozenset((*OPERANDS, *OPERATIONS, *_COMPARISONS, "not"))
 """Heads whose operands are no arguments themselves but may have some."""
 
 
@@ -213,38 +214,23 @@ def condition(node: Node, scope: TermScope) -> Condition:
             scope.symbols.requirements.need(node, ":universal-preconditions" if word == "forall" else ":existential-preconditions")
             variables, body = scope.quantified(node)
             return (ForAll if word == "forall" else Exists)(variables, condition(body, scope.inside(variables)))
-        case "=":
-            return _flattened_condition(node, scope, _equality)
-        case "<" | "<=" | ">" | ">=":
-            return _flattened_condition(node, scope, _comparison)
         case _:
-            return _flattened_condition(node, scope, _fact)
+            return _atom(node, scope)
 
 
-def _flattened_condition(node: Group, scope: TermScope, read: Callable[[Group, TermScope], Condition]) -> Condition:
-    flat = _flattened(node, scope)
-    if flat is None:
-        return read(node, scope)
-    return Exists(tuple(flat.variables.values()), conjunction([*flat.values, read(flat.node, flat.scope)]))
-
-
-def _fact(node: Group, scope: TermScope) -> Condition:
-    if scope.symbols.lenient and scope.symbols.is_undeclared(node):
-        Leniency.PREDICATE_UNDECLARED.note(node.items[0], node.items[0])
-        return Any(())  # false
-    return Holds(scope.fact(node))
-
-
-def _equality(node: Group, scope: TermScope) -> Compare:
+def _atom(node: Group, scope: TermScope) -> Condition:
+    """Read a fact or a comparison."""
+    if (flat := _flattened(node, scope)) is not None:
+        return Exists(tuple(flat.variables.values()), conjunction([*flat.values, _atom(flat.node, flat.scope)]))
+    if node.head not in _COMPARISONS:
+        if scope.symbols.lenient and scope.symbols.is_undeclared(node):
+            Leniency.PREDICATE_UNDECLARED.note(node.items[0], node.items[0])
+            return Any(())  # false
+        return Holds(scope.fact(node))
     left, right = operands(node, 2)
-    if not scope.is_object(left) and not scope.is_object(right):
-        return _comparison(node, scope)
-    scope.symbols.requirements.need(node, ":equality", *([":object-fluents"] if scope.symbols.has_object_functions else []))
-    return Compare("=", scope.value(left), scope.value(right))
-
-
-def _comparison(node: Group, scope: TermScope) -> Compare:
-    left, right = operands(node, 2)
+    if node.head == "=" and (scope.is_object(left) or scope.is_object(right)):
+        scope.symbols.requirements.need(node, ":equality", *([":object-fluents"] if scope.symbols.has_object_functions else []))
+        return Compare("=", scope.value(left), scope.value(right))
     scope.symbols.requirements.need(node, ":numeric-fluents")
     return Compare(node.head, scope.expression(left), scope.expression(right))
 
