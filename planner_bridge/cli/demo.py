@@ -118,7 +118,7 @@ async def _play(console: SafeConsole) -> int:
             )
             await asyncio.gather(_ready(robot, "the robot"), _ready(node, "the node"))
             visitor = await _start(stack, str(domain / "visitor.py"), str(script))
-            quiet = asyncio.ensure_future(_drain(node))  # a full pipe would block it
+            quiet = asyncio.ensure_future(_each(node, lambda _: None))  # a full pipe would block it
             stack.callback(quiet.cancel)
             doing = asyncio.ensure_future(_each(robot, story.done))
             stack.callback(doing.cancel)
@@ -159,11 +159,6 @@ async def _ready(process: Process, who: str) -> None:
             if line.startswith("ready"):
                 return
     raise ChildProcessError(f"{who} has not started")
-
-
-async def _drain(process: Process) -> None:
-    async for _ in _lines(process):
-        pass
 
 
 async def _each(process: Process, hear: Any) -> None:

@@ -282,7 +282,14 @@ def resume_run(journal: Place, *, adopts: bool, is_trusted: bool) -> int:
         _print_task(tasks[-1], SafeConsole())
         return 0 if ending.code is Code.GOAL_REACHED else 1
     if not (is_trusted or (seal and hmac.compare_digest(seal, options.seal_of(command)))):
-        _ask(journal, folder, given)
+        named = {option.partition("=")[0] for option in given}
+        acts = "".join(f"; {option} {what}" for option, what in _ACTS.items() if option in named)
+        would = f"{journal} was not begun by you on this computer. In {printable(folder)} it would do: {_words(given)}{acts}"
+        if not sys.stdin.isatty():
+            raise InputError(f"{would}; --yes does it")
+        print(would, file=sys.stderr)
+        if not click.confirm("Do you want that?", err=True):
+            raise InputError("nothing was done")
     place = str(journal.resolve()) if isinstance(journal, Path) else journal.text
     try:
         os.chdir(folder)
@@ -290,18 +297,6 @@ def resume_run(journal: Place, *, adopts: bool, is_trusted: bool) -> int:
         raise InputError(f"{journal}: its command was given in {folder}: {error.strerror}") from error
     print(f"in {printable(folder)}: {_words(given)}", file=sys.stderr)
     return int(run.main([*given, "--journal", place, *([options.ADOPT] if adopts else [])], "pnm run", standalone_mode=False) or 0)
-
-
-def _ask(journal: Place, folder: str, given: Sequence[str]) -> None:
-    """Show what a journal would do, and ask whether it may; raise an `InputError` if not, or if there is nobody to ask."""
-    named = {option.partition("=")[0] for option in given}
-    acts = "".join(f"; {option} {what}" for option, what in _ACTS.items() if option in named)
-    would = f"{journal} was not begun by you on this computer. In {printable(folder)} it would do: {_words(given)}{acts}"
-    if not sys.stdin.isatty():
-        raise InputError(f"{would}; --yes does it")
-    print(would, file=sys.stderr)
-    if not click.confirm("Do you want that?", err=True):
-        raise InputError("nothing was done")
 
 
 def _words(given: Sequence[str]) -> str:

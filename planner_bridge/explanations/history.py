@@ -401,14 +401,6 @@ class JournalHistory:
         """Note a record; it is executed once somebody asks for the state after it."""
         self.number, self.time, self._observed = number, max(self.time, time), 0
         self._pending.append((number, time, record))
-        self._note(time, record)
-        return ReplayStep(number, time, record)
-
-    def sent(self, run: RunHistory, call: int) -> list[Attempt]:
-        """Return the requests that a run has sent for a call."""
-        return [self.attempts[request] for request in run.sent.get(call, ())]
-
-    def _note(self, time: float, record: records.Record) -> None:
         begins, self._begins = self._begins, False
         is_again, self._again = self._again > 0, max(0, self._again - 1)
         match record:
@@ -447,8 +439,8 @@ class JournalHistory:
                     since = self.segments[-1].number
                     runs = [run for run in self.runs.values() if run.made.task == wanted.id]  # of a plan, before it is accepted
                     runs = [run for run in runs if run.record >= since or run.results is None]
-                    number = 0 if is_again else self.number
-                    self.tasks[wanted.id] = TaskHistory(record, time if is_again else self.time, runs, number)
+                    accepted = (time, 0) if is_again else (self.time, number)
+                    self.tasks[wanted.id] = TaskHistory(record, accepted[0], runs, accepted[1])
             case records.TaskHeld():
                 self._begins = begins
             case records.TaskEntered(id, state, reason) if id in self.tasks:
@@ -466,6 +458,11 @@ class JournalHistory:
                         own.follow(f"its task is over: {ending.code.word}")
             case _:
                 pass
+        return ReplayStep(number, time, record)
+
+    def sent(self, run: RunHistory, call: int) -> list[Attempt]:
+        """Return the requests that a run has sent for a call."""
+        return [self.attempts[request] for request in run.sent.get(call, ())]
 
     def _begin_segment(self, since: int) -> None:
         """Forget what is too far back: what went on in the segments that it reaches back to is known from its beginning."""

@@ -133,9 +133,17 @@ def server_models(problem: Problem, bindings: Bindings, world: SimulatedWorld) -
     """Return the models of all servers that execute actions of the problem."""
     choices: dict[str, list[tuple[ActionSchema, Mapping[str, str]]]] = {}
     types: dict[str, str] = {}
+    state = initial_knowledge(problem)
     for schema in problem.domain.actions.values():
-        for fixed in _fixed(problem, schema, bindings):
-            server = (bindings.of(schema.name).server or schema.name).format_map(fixed)
+        pattern = bindings.of(schema.name).server or schema.name
+        variables = {variable.name[1:]: variable.types for variable in schema.parameters}
+        names = list(dict.fromkeys(placeholders(pattern)))
+        if unknown := [name for name in names if name not in variables]:
+            parameters = ", ".join(variables)
+            raise InputError(f"the server {pattern!r} of {schema.name} names {{{unknown[0]}}}, which is not a parameter ({parameters})")
+        for chosen in product(*(state.objects(variables[name]) for name in names)):
+            fixed = dict(zip(names, chosen, strict=True))
+            server = pattern.format_map(fixed)
             choices.setdefault(server, []).append((schema, fixed))
             if named := bindings.of(schema.name).type:
                 types.setdefault(server, named)
@@ -157,19 +165,6 @@ def fitted(model: ServerModel) -> ServerModel:
             advice = "" if binding.type else f"; without a 'type' in its binding, {model.server} is played as a {model.type}"
             raise InputError(f"{name}: {error.message}{advice}", binding.position) from error
     return replace(model, bindings=replace(model.bindings, actions=bound))
-
-
-def _fixed(problem: Problem, schema: ActionSchema, bindings: Bindings) -> Iterator[dict[str, str]]:
-    """Yield the arguments in the name of each server of the action."""
-    pattern = bindings.of(schema.name).server or schema.name
-    types = {variable.name[1:]: variable.types for variable in schema.parameters}
-    names = list(dict.fromkeys(placeholders(pattern)))
-    for name in names:
-        if name not in types:
-            raise InputError(f"the server {pattern!r} of {schema.name} names {{{name}}}, which is not a parameter ({', '.join(types)})")
-    state = initial_knowledge(problem)
-    for chosen in product(*(state.objects(types[name]) for name in names)):
-        yield dict(zip(names, chosen, strict=True))
 
 
 @dataclass

@@ -18,7 +18,7 @@ _LIST: Final[Schema] = {"type": "array"}
 
 def schema_text() -> str:
     """Return the schema of a file as JSON, a line for each key and definition."""
-    definitions = {**dict(_steps()), **dict(_formulas()), **DEFINITIONS, **dict(_planning())}
+    definitions = dict((*_steps(), *_formulas()))
     whole = {"$schema": "http://json-schema.org/draft-07/schema#", "title": "PNM language", **grammar.Document.json()}
     parts = {"definitions": {"action": grammar.Action.json(), **definitions}, "properties": whole.pop("properties")}
     lines = [f" {json.dumps(key)}: {json.dumps(part, ensure_ascii=False)}" for key, part in whole.items()]
@@ -120,11 +120,9 @@ def _formulas() -> Iterator[tuple[str, Schema]]:
     yield "facts", {"type": ["array", "string", "null"], **_either(_LIST, {"items": fact}, {"pattern": fact["pattern"]})}
     yield "typed", {"type": ["string", "array", "null"], "items": {"type": ["string", "null"]}}
     yield "texts", {"type": ["string", "array", "null"], "items": TEXT}
-
-
-def _planning() -> Iterator[tuple[str, Schema]]:
-    about = {"description": "A constraint on the course of a plan.", "type": "object", "minProperties": 1}
-    yield "constraint", {**about, **words.forms(CONSTRAINT_WORDS)}
+    yield from DEFINITIONS.items()
+    whole = {"description": "A constraint on the course of a plan.", "type": "object", "minProperties": 1}
+    yield "constraint", {**whole, **words.forms(CONSTRAINT_WORDS)}
     yield "constraints", _one_or_several(ref("constraint"), "Constraints; all of them.")
     yield "preference", PreferenceKeys.json()
     yield "preferences", _one_or_several(ref("preference"), "Preferences.")
