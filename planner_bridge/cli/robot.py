@@ -13,7 +13,7 @@ from rich.text import Text
 from planner_bridge.cli import options
 from planner_bridge.cli.console import SafeConsole
 from planner_bridge.model.determinization import untold
-from planner_bridge.model.exclusive_resources import relied_on
+from planner_bridge.model.guards import relied_on
 from planner_bridge.pipeline.achieve import readiness
 from planner_bridge.pipeline.carry_out import readiness_for_plan
 from planner_bridge.pipeline.loading import bindings_for

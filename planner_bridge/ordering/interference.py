@@ -13,8 +13,8 @@ from functools import cached_property
 from itertools import chain
 from typing import Final
 
-from planner_bridge.model.forbidden_actions import guarded, unused_name, with_guards
 from planner_bridge.model.grounding import initial_knowledge
+from planner_bridge.model.guards import guarded, unused_name, with_guards
 from planner_bridge.model.problem import Problem
 from planner_bridge.model.progression import NotApplicable, Progression, snapshot
 from pnm.core.knowledge_base import KnowledgeBase

@@ -10,7 +10,7 @@ from math import ceil, log10, prod
 from types import MappingProxyType
 from typing import Final
 
-from planner_bridge.model.forbidden_actions import unused_name
+from planner_bridge.model.guards import unused_name
 from planner_bridge.model.plan import Plan
 from planner_bridge.model.problem import Domain, Metric, Problem, once_per_domain
 from planner_bridge.model.progression import calls_of

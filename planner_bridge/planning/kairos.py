@@ -273,7 +273,7 @@ class _Best:
         """Return the problem with the seconds of calls as durations, as Kairos reads it; None if that makes no difference."""
         if self._rates is None or not self._counts or self._rates.have_turns(self._problem):
             return None
-        from planner_bridge.model.exclusive_resources import with_turns
+        from planner_bridge.model.guards import with_turns
 
         seconds = {name: self._rates.expected(GroundAction(name)) for name in self._problem.domain.actions}
         try:

@@ -140,7 +140,7 @@ def _searched(
     """Return what is found for a problem whose actions have one outcome each, with the planner's own reason if that is no plan."""
     asked = problem
     if rates is not None:
-        from planner_bridge.model.exclusive_resources import with_turns  # here, as above
+        from planner_bridge.model.guards import with_turns  # here, as above
 
         asked = with_turns(problem, rates.bindings)
     stop, timeout = cancel or threading.Event(), min(timeout, _LONGEST)

@@ -11,8 +11,8 @@ from heapq import heappop, heappush
 from math import inf
 from typing import Final
 
-from planner_bridge.model.forbidden_actions import ForbiddenCall
 from planner_bridge.model.grounding import problem_now
+from planner_bridge.model.guards import ForbiddenCall
 from planner_bridge.model.problem import Domain, Problem, once_per_domain
 from planner_bridge.tasks.context import TaskContext
 from planner_bridge.tasks.replanning import Progress, why_not

@@ -9,7 +9,7 @@ from math import inf
 from typing import Final, Generic, TypeVar
 from uuid import UUID
 
-from planner_bridge.model.forbidden_actions import ForbiddenCall, calls_acquiring, calls_served_by
+from planner_bridge.model.guards import ForbiddenCall, calls_acquiring, calls_served_by
 from planner_bridge.model.problem import Problem
 from planner_bridge.model.progression import present_state, snapshot
 from planner_bridge.ordering.interference import Forecast, ReadWriteSets, interference

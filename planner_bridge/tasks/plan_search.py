@@ -12,8 +12,8 @@ from math import inf
 from typing import Final, TypeAlias, TypeVar, cast
 from uuid import UUID
 
-from planner_bridge.model.forbidden_actions import ANY, ForbiddenCall, calls_served_by, forbid
 from planner_bridge.model.grounding import initial_knowledge
+from planner_bridge.model.guards import ANY, ForbiddenCall, calls_served_by, forbid
 from planner_bridge.model.plan import CancelToken, Plan, PlanningResult, PlanningStatus
 from planner_bridge.model.problem import Problem
 from planner_bridge.model.progression import NotProjectable, calls_of, projected_state, stretch

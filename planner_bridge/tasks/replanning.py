@@ -11,7 +11,7 @@ from functools import cached_property
 from types import MappingProxyType
 from typing import Final
 
-from planner_bridge.model.forbidden_actions import ANY, ForbiddenCall
+from planner_bridge.model.guards import ANY, ForbiddenCall
 from planner_bridge.model.plan import Policy
 from planner_bridge.model.problem import Problem
 from planner_bridge.model.progression import ConstraintProgression, NotApplicable, Progression, snapshot

@@ -10,7 +10,8 @@ from itertools import zip_longest
 from math import isfinite
 from typing import Any, ClassVar, Final, Literal, TypeAlias, TypeVar
 
-from planner_bridge.model import forbidden_actions, problem
+from planner_bridge.model import problem
+from planner_bridge.model.guards import ForbiddenCall
 from planner_bridge.model.plan import PlanningStatus, Policy
 from planner_bridge.model.problem import Problem
 from planner_bridge.tasks import replanning
@@ -385,7 +386,7 @@ class TrajectoryNote:
 
 
 _NOTES: Final = (GoalNote, PolicyNote, TrajectoryNote, Violation, HelpAsked, HelpEnded)
-TASKS: Final = RECORDS.including((*_NOTES, *value_classes(replanning, forbidden_actions, trajectory, problem, domain)))
+TASKS: Final = RECORDS.including((*_NOTES, ForbiddenCall, *value_classes(replanning, trajectory, problem, domain)))
 """The codec of the journal of tasks."""
 
 

@@ -15,7 +15,7 @@ from typing import Final
 import kairos
 
 from planner_bridge.model.determinization import determinized_domain
-from planner_bridge.model.forbidden_actions import guarded, unused_name
+from planner_bridge.model.guards import guarded, unused_name
 from planner_bridge.model.plan import SpelledNames
 from planner_bridge.model.problem import Problem
 from planner_bridge.pddl.writer import write_domain, write_problem

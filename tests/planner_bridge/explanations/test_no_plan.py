@@ -13,7 +13,7 @@ from planner_bridge.explanations.answer import Answer, Best, Known, NoSmallerCha
 from planner_bridge.explanations.goal_now import what_would_help
 from planner_bridge.explanations.needed_call import Forced, why_not
 from planner_bridge.explanations.no_plan import AnswerLimit, why_no_plan
-from planner_bridge.model.forbidden_actions import ForbiddenCall, forbid
+from planner_bridge.model.guards import ForbiddenCall, forbid
 from planner_bridge.model.plan import PlanningResult, PlanningStatus, PlanStep
 from planner_bridge.model.problem import Problem
 from planner_bridge.pddl import parse_domain, parse_problem

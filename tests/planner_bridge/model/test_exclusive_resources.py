@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from itertools import combinations
 
-from planner_bridge.model.exclusive_resources import relied_on, with_turns
+from planner_bridge.model.guards import relied_on, with_turns
 from planner_bridge.model.problem import Problem
 from planner_bridge.pddl import parse_domain, parse_problem
 from planner_bridge.planning.solve import solve

@@ -5,7 +5,7 @@ from __future__ import annotations
 import gc
 from dataclasses import replace
 
-from planner_bridge.model.forbidden_actions import ForbiddenCall, forbid
+from planner_bridge.model.guards import ForbiddenCall, forbid
 from planner_bridge.model.plan import Plan
 from planner_bridge.model.problem import Domain, once_per_domain
 from planner_bridge.planning.kairos import parse_for_kairos, validate

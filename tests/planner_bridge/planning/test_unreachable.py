@@ -7,8 +7,8 @@ import time
 import pytest
 from hypothesis import HealthCheck, example, given, settings, strategies as st
 
-from planner_bridge.model.forbidden_actions import ForbiddenCall, forbid
 from planner_bridge.model.grounding import initial_knowledge, problem_now
+from planner_bridge.model.guards import ForbiddenCall, forbid
 from planner_bridge.model.plan import PlanningStatus
 from planner_bridge.model.problem import Problem
 from planner_bridge.pddl import parse_domain, parse_problem

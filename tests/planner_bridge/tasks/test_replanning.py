@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from planner_bridge.model.forbidden_actions import ForbiddenCall, forbid
+from planner_bridge.model.guards import ForbiddenCall, forbid
 from planner_bridge.model.world import simulated_backend
 from planner_bridge.pddl import parse_domain, parse_problem
 from planner_bridge.pipeline.achieve import achieve_at
