@@ -6,7 +6,7 @@ import json
 from collections.abc import Iterator
 from typing import Any, Final
 
-from planner_bridge.yaml.read_constraints import CONSTRAINT_WORDS, METRIC_WORDS, PreferenceKeys
+from planner_bridge.yaml.reader import CONSTRAINT_WORDS, METRIC_WORDS, PreferenceKeys
 from pnm.actions.bindings_file import DEFINITIONS
 from pnm.files.yaml_keys import TEXT, Keys, Schema, pair, ref
 from pnm.language import grammar
