@@ -11,8 +11,7 @@ import click
 from planner_bridge.cli import options
 from planner_bridge.cli.console import SafeConsole
 from planner_bridge.pipeline.loading import bindings_for
-from planner_bridge.yaml.convert import exported, imported
-from planner_bridge.yaml.schema import schema_text
+from planner_bridge.yaml.convert import exported, imported, schema_text
 from planner_bridge.yaml.writer import unwritten
 from pnm.errors import InputError
 
