@@ -16,8 +16,7 @@ from typing import Final, TypeAlias
 
 from planner_bridge.explanations.answer import Answer, Known, NoSmallerChange, Solves, listed
 from planner_bridge.explanations.needed_call import why_plan
-from planner_bridge.explanations.no_plan import SECONDS, AnswerLimit, why_no_plan
-from planner_bridge.explanations.traps import why_not_short
+from planner_bridge.explanations.no_plan import SECONDS, AnswerLimit, why_no_plan, why_not_short
 from planner_bridge.model.grounding import problem_now
 from planner_bridge.model.plan import PlanningResult, PlanningStatus
 from planner_bridge.model.problem import Problem

@@ -14,8 +14,7 @@ from functools import cached_property
 from typing import Final, TypeAlias
 
 from planner_bridge.explanations.answer import Answer, Best, Claim, Fails, Known, Solves, Unsolvable, listed
-from planner_bridge.explanations.no_plan import AnswerLimit, why_no_plan, why_unreachable
-from planner_bridge.explanations.traps import why_trap
+from planner_bridge.explanations.no_plan import AnswerLimit, why_no_plan, why_trap, why_unreachable
 from planner_bridge.model.grounding import ground_action, initial_knowledge
 from planner_bridge.model.guards import unused_name
 from planner_bridge.model.plan import Plan, PlanningResult, PlanningStatus, PlanStep

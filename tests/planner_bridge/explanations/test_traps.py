@@ -7,8 +7,7 @@ from hypothesis import given, settings, strategies as st
 from planner_bridge.explanations.answer import Answer, Known, Unsolvable
 from planner_bridge.explanations.goal_now import why_goal
 from planner_bridge.explanations.needed_call import why_not
-from planner_bridge.explanations.no_plan import AnswerLimit
-from planner_bridge.explanations.traps import why_not_short
+from planner_bridge.explanations.no_plan import AnswerLimit, why_not_short
 from planner_bridge.model.grounding import initial_knowledge
 from planner_bridge.model.plan import PlanStep
 from planner_bridge.model.problem import Problem
