@@ -32,7 +32,7 @@ ELSEWHERE: Final = {
     "init": ("robot", "Write first files for a running robot."),
     "journal": ("journal", "Check, move, copy or prune a journal."),
     "learn": ("journal", "Learn chances and durations from journals."),
-    "odds": ("odds", "Say how likely and how soon a goal is reached."),
+    "odds": ("robot", "Say how likely and how soon a goal is reached."),
     "pause": ("running_node", "Pause a task: it starts nothing more."),
     "replay": ("journal", "Execute the runs of a journal again."),
     "resume": ("running_node", "Continue a paused task, or a run that has died."),
