@@ -15,8 +15,7 @@ from planner_bridge.cli import options
 from planner_bridge.cli.console import SafeConsole
 from planner_bridge.model.determinization import untold
 from planner_bridge.model.guards import relied_on
-from planner_bridge.pipeline.achieve import readiness
-from planner_bridge.pipeline.carry_out import readiness_for_plan
+from planner_bridge.pipeline.achieve import readiness, readiness_for_plan
 from planner_bridge.pipeline.loading import bindings_for, rates_for
 from planner_bridge.pipeline.roll_outs import SECONDS, odds_of_goal, odds_of_plan
 from planner_bridge.tasks.settings import DEFAULTS, Settings

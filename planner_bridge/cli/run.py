@@ -18,7 +18,7 @@ from planner_bridge.cli import options
 from planner_bridge.cli.console import SafeConsole
 from planner_bridge.cli.options import ADOPT, GIVEN, Seconds, command
 from planner_bridge.cli.run_console import ConsoleObserver, print_result
-from planner_bridge.pipeline.achieve import Actions, achieve
+from planner_bridge.pipeline.achieve import Actions, achieve, carry_out
 from planner_bridge.pipeline.loading import RATES, beside, bindings_for, rates_for
 from planner_bridge.planning.solve import check_planner
 from planner_bridge.tasks.result import Stopwatch, TaskResult
@@ -151,14 +151,12 @@ def run(
     known_files = (rates or (None if isinstance(chosen, Path) else beside(chosen[0], RATES)), faults)
     with looked_at(choice, view, timeline, learned, controlled, known_files, force=force) as (kept, page):
         if isinstance(chosen, Path):
-            from planner_bridge.pipeline.carry_out import carry_out  # here and below, because most runs need none of these
-
             check_planner(planner)  # now, not when a plan is given up that took an hour
             settings = replace(settings, bindings=bindings_for(None, bindings, None))
             settings = replace(settings, sensing=options.sensing_in(sensing, None))
             parameters, going_wrong = options.plan_parameters(given), options.faults_in(faults, None)
             if least is not None:
-                from planner_bridge.pipeline.roll_outs import odds_of_plan
+                from planner_bridge.pipeline.roll_outs import odds_of_plan  # here and below, because most runs need none of these
 
                 odds = odds_of_plan(chosen, name, parameters, replace(settings, learned=rates_for(None, rates)), going_wrong)
                 if refusal := odds.refusal(least):

@@ -16,7 +16,7 @@ from planner_bridge.model.plan import Plan, PlanningResult, PlanningStatus, Poli
 from planner_bridge.model.problem import Domain, Problem
 from planner_bridge.model.world import simulated_backend
 from planner_bridge.ordering.plan_to_graph import plan_graph
-from planner_bridge.pipeline.carry_out import carry_out
+from planner_bridge.pipeline.achieve import carry_out
 from planner_bridge.pipeline.goal_handle import GoalHandle
 from planner_bridge.pipeline.odds import GoalOdds, KnownRobots, Odds, exact, odds_of_calls
 from planner_bridge.pipeline.policy_odds import PolicyChain

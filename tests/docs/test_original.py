@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from planner_bridge.pipeline.carry_out import carry_out
+from planner_bridge.pipeline.achieve import carry_out
 from pnm.core.machine.requests import Outcome, OutcomeKind, Request
 from tests.support.files import ROOT
 from tests.support.runs.direct import answering_with

@@ -74,12 +74,12 @@ def test_nobody_has_to_read_to_the_end(command: str, status: int) -> None:
         assert process.wait(LIMIT) == status
 
 
-def test_a_run_imports_neither_what_postgresql_nor_what_odds_nodes_and_plans_by_hand_need() -> None:
+def test_a_run_imports_neither_what_postgresql_nor_what_odds_and_nodes_need() -> None:
     python = [sys.executable, "-X", "importtime", *PNM[1:], "run", "-q", *DELIVERY]
     done = subprocess.run(python, capture_output=True, text=True, cwd=ROOT, timeout=LIMIT, check=True)
     imported = {line.rpartition("|")[2].strip() for line in done.stderr.splitlines() if line.startswith("import time:")}
     assert "click" in imported
-    needless = {"pg8000", "planner_bridge.pipeline.odds", "planner_bridge.pipeline.carry_out", "planner_bridge.node.options"}
+    needless = {"pg8000", "planner_bridge.pipeline.odds", "planner_bridge.node.options"}
     assert not needless & imported
 
 

@@ -20,7 +20,7 @@ import pytest
 from planner_bridge.explanations.answer import Answer
 from planner_bridge.explanations.history import JournalHistory
 from planner_bridge.explanations.run_questions import why_call_of_run, why_so
-from planner_bridge.pipeline.carry_out import carry_out
+from planner_bridge.pipeline.achieve import carry_out
 from planner_bridge.tasks.result import TASKS
 from planner_bridge.tasks.settings import Settings
 from planner_bridge.view.follow import Reader

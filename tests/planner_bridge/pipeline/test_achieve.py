@@ -11,8 +11,7 @@ from uuid import UUID
 import pytest
 
 from planner_bridge.pddl import parse_domain, parse_problem
-from planner_bridge.pipeline.achieve import achieve
-from planner_bridge.pipeline.carry_out import carry_out
+from planner_bridge.pipeline.achieve import achieve, carry_out
 from planner_bridge.planning.solve import solve
 from planner_bridge.tasks.control import Watchdog
 from planner_bridge.tasks.replanning import Limits

@@ -15,7 +15,7 @@ from hypothesis import given, strategies as st
 from planner_bridge.cli.console import SafeConsole
 from planner_bridge.cli.run_console import TaskConsole
 from planner_bridge.model.grounding import initial_knowledge
-from planner_bridge.pipeline.carry_out import carry_out
+from planner_bridge.pipeline.achieve import carry_out
 from planner_bridge.tasks.settings import Settings
 from pnm.actions.faults import NO_FAULTS, Fault, FaultKind, Faults
 from pnm.core.machine.bindings import Binding, Bindings

@@ -8,7 +8,7 @@ from uuid import UUID
 
 import pytest
 
-from planner_bridge.pipeline.carry_out import carry_out
+from planner_bridge.pipeline.achieve import carry_out
 from planner_bridge.view.follow import Reader
 from planner_bridge.view.story import Story, Thing, View, detail, timelines, view_of
 from pnm.core.execution.events import Begin

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from hypothesis import given, strategies as st
 
-from planner_bridge.pipeline.carry_out import carry_out
+from planner_bridge.pipeline.achieve import carry_out
 from planner_bridge.tasks.result import TASKS, PlanResult
 from pnm.actions.bindings_file import read_bindings
 from pnm.actions.faults import Fault, FaultKind, Faults, HiddenChange

@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from planner_bridge.pipeline.carry_out import carry_out
+from planner_bridge.pipeline.achieve import carry_out
 from planner_bridge.tasks.result import TASKS
 from pnm.errors import PnmError
 from pnm.journal.codec import Undecodable

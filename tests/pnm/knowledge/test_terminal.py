@@ -12,7 +12,7 @@ from uuid import UUID
 import pytest
 from hypothesis import example, given, strategies as st
 
-from planner_bridge.pipeline.carry_out import carry_out
+from planner_bridge.pipeline.achieve import carry_out
 from pnm.core.logic.computed_values import MISSING, Layer, Question, Uncomputable, operate
 from pnm.knowledge.people import ScriptedAnswers, TerminalSource, message_text, question_text
 from pnm.knowledge.source import Asker, SourceError

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from hypothesis import example, given, strategies as st
 
-from planner_bridge.pipeline.carry_out import carry_out
+from planner_bridge.pipeline.achieve import carry_out
 from pnm.errors import InputError
 from pnm.files.yaml_nodes import MAX_DOCUMENTS, Mapped, parse_yaml
 from pnm.language import read_plans, read_world

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from planner_bridge.model.world import simulated_backend
-from planner_bridge.pipeline.carry_out import carry_out
+from planner_bridge.pipeline.achieve import carry_out
 from planner_bridge.tasks.replanning import Limits
 from planner_bridge.tasks.settings import Settings
 from pnm.clock import run_async

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from planner_bridge.pipeline.carry_out import carry_out
+from planner_bridge.pipeline.achieve import carry_out
 from pnm.core.logic.computed_values import Layer, Literal, Operation, Query
 from pnm.core.logic.conditions import All, Computed, Condition
 from pnm.core.machine.bindings import Binding, Bindings

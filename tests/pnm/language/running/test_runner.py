@@ -9,7 +9,7 @@ from uuid import uuid4
 import pytest
 
 from planner_bridge.model.world import simulated_backend
-from planner_bridge.pipeline.carry_out import carry_out
+from planner_bridge.pipeline.achieve import carry_out
 from pnm.actions.faults import Fault, FaultKind, Faults
 from pnm.clock import run_async
 from pnm.core.knowledge_base import KnowledgeBase, Layered

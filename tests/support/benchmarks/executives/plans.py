@@ -18,7 +18,7 @@ from planner_bridge.model.plan import Plan, PlanningResult, PlanningStatus, Plan
 from planner_bridge.model.problem import Problem
 from planner_bridge.ordering.plan_to_graph import plan_graph
 from planner_bridge.pddl import parse_domain, parse_problem
-from planner_bridge.pipeline.carry_out import carry_out
+from planner_bridge.pipeline.achieve import carry_out
 from planner_bridge.planning.kairos import parse_for_kairos
 from planner_bridge.planning.solve import reduced, solve
 from planner_bridge.planning.validate import why_invalid
