@@ -208,7 +208,7 @@ def _run(arguments: list[str], files: Mapping[str, str], timeout: float, cancel:
         folder = Path(name).resolve()  # resolved, because processes are found by comparing this text with their environment
         for file, text in files.items():
             (folder / file).write_text(text, encoding="utf-8")
-        with _process_group(own_python("-m", "planner_bridge.planning.unified_planning", *arguments), folder) as process:
+        with _process_group(own_python("-m", "planner_bridge.planning.engine_process", *arguments), folder) as process:
             # First for loading the engine, which does not count; then anew for the search itself.
             deadline, began = time.monotonic() + START_LIMIT, False
             while process.poll() is None and time.monotonic() < deadline and not cancel.is_set() and not (folder / ANSWER).exists():

@@ -19,7 +19,7 @@ from tests.support.files import ROOT
 ARCHITECTURE = (ROOT / "docs" / "project" / "architecture.md").read_text(encoding="utf-8")
 ONLY = {
     "rclpy": "pnm/ros/",
-    "unified_planning": "planner_bridge/planning/unified_planning/",
+    "unified_planning": "planner_bridge/planning/unified_planning.py",
     "kairos": "planner_bridge/planning/",
     "click": "planner_bridge/cli/",
     "rich": "planner_bridge/cli/",

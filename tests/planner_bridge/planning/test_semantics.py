@@ -24,7 +24,7 @@ from planner_bridge.model.world import simulated_backend
 from planner_bridge.ordering.plan_to_graph import plan_graph
 from planner_bridge.pddl import parse_domain, parse_problem, write_domain, write_problem
 from planner_bridge.planning.kairos import validate
-from planner_bridge.planning.unified_planning.problems import to_unified_planning
+from planner_bridge.planning.unified_planning import to_unified_planning
 from planner_bridge.planning.validate import trace, why_invalid
 from pnm.clock import run_async
 from pnm.core.execution.call_results import RunResult

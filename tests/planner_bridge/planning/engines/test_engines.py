@@ -171,7 +171,7 @@ def test_a_search_that_is_cancelled_ends_at_once(folder: Path) -> None:
 
 def test_an_engine_that_the_system_kills_was_out_of_memory(folder: Path) -> None:
     searching = started_engine(folder, "aries")
-    (child,) = working_in(folder, "planner_bridge.planning.unified_planning")
+    (child,) = working_in(folder, "planner_bridge.planning.engine_process")
     os.kill(child, signal.SIGKILL)
     assert searching.result(LIMIT).status is PlanningStatus.OUT_OF_MEMORY
     assert not working_in(folder)

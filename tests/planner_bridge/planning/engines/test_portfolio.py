@@ -212,7 +212,7 @@ def test_a_race_can_be_cancelled(folder: Path) -> None:
 
 def test_a_process_that_dies_takes_nobody_with_it(folder: Path) -> None:
     found = started_portfolio(folder, ("kairos", "aries"), 3)
-    (engine,) = working_in(folder, "planner_bridge.planning.unified_planning")
+    (engine,) = working_in(folder, "planner_bridge.planning.engine_process")
     os.kill(parent(engine), signal.SIGKILL)
     result = found.result(LIMIT)
     assert result.status is PlanningStatus.TIMED_OUT

@@ -11,7 +11,7 @@ import unified_planning.shortcuts as up
 from planner_bridge.model.problem import Problem
 from planner_bridge.pddl import parse_domain, parse_problem
 from planner_bridge.planning.solve import solve
-from planner_bridge.planning.unified_planning.problems import to_unified_planning
+from planner_bridge.planning.unified_planning import to_unified_planning
 from pnm.core.logic.conditions import TRUE, Holds
 from pnm.core.logic.domain import Preference
 from pnm.core.logic.expressions import Variable

@@ -1,6 +1,6 @@
 """The engine process: reads the problem from its folder, asks one engine for a plan, writes the answer.
 
-usage: python -m planner_bridge.planning.unified_planning ENGINE [SECONDS]; without them, it only looks up the engine
+usage: python -m planner_bridge.planning.engine_process ENGINE [SECONDS]; without them, it only looks up the engine
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ def main() -> None:
     stub = ModuleType("ConfigSpace")  # it and scipy would be loaded for one annotation, in 60 % of the time to load unified-planning
     stub.ConfigurationSpace = object  # type: ignore[attr-defined]
     sys.modules[stub.__name__] = stub
-    from planner_bridge.planning.unified_planning.problems import ask, look_up  # here, because it takes long and needs the stub
+    from planner_bridge.planning.unified_planning import ask, look_up  # here, because it takes long and needs the stub
 
     Path(BEGAN).touch()
     answer = ask(sys.argv[1], float(sys.argv[2])) if len(sys.argv) > 2 else look_up(sys.argv[1])

@@ -1,4 +1,7 @@
-"""Translation of problems: unified-planning's to ours, by way of PDDL, and ours to unified-planning's, directly."""
+"""Unified-planning: its problems to ours, by way of PDDL, and ours to its own, directly; and the request to one of its engines.
+
+The only module that imports unified-planning, which takes 1 to 3 seconds and 150 MB.
+"""
 
 from __future__ import annotations
 
