@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from planner_bridge.ordering.robot_time import ExpectedTimes
 
 DEFAULT_PLANNER: Final = "kairos"
-SHARE: Final = 0.05
+_SHARE: Final = 0.05
 """Share of the time that a plan is expected to take for which a better one is looked for."""
 AT_WORK: Final = 2.5
 """How much longer that is while robots carry the plan out: they do not wait, but the processor is theirs as well."""
@@ -81,6 +81,11 @@ _STATUS: Final[Mapping[kairos.Status, PlanningStatus]] = {
     kairos.Status.INTERNAL_ERROR: PlanningStatus.CRASHED,
 }
 """The ends of a search that has found no plan."""
+
+
+def worth(seconds: float) -> float:
+    """Return the seconds for which something better is looked for than what takes so many."""
+    return min(LONGEST, seconds * _SHARE)
 
 
 def parse_for_kairos(problem: Problem) -> kairos.Problem:
@@ -313,7 +318,7 @@ class _Best:
         assert plan is not None
         least = _WEIGHED if self._problem.has_preferences else _LEAST
         taken = plan.makespan if plan.temporal else len(plan.steps) * ASSUMED_SECONDS if plan.seconds is None else plan.seconds
-        return min(LONGEST, max(least, taken * SHARE))
+        return max(least, worth(taken))
 
     def of_part(self, part: Problem, old: Sequence[PlanStep], reached: float | None) -> Plan | None:
         """Find a better plan for a part of a plan in a short time.

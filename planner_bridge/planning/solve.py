@@ -19,7 +19,7 @@ from planner_bridge.model.plan import CancelToken, Plan, PlanningResult, Plannin
 from planner_bridge.model.problem import TOTAL_TIME, Problem
 from planner_bridge.model.progression import Happening, NotApplicable, Progression, Stage, calls_of, happenings, refuse, snapshot
 from planner_bridge.ordering.plan_to_graph import plan_graph
-from planner_bridge.planning.kairos import AT_WORK, DEFAULT_PLANNER, GLANCE, LONGEST, SHARE, parse_for_kairos, search, validate
+from planner_bridge.planning.kairos import AT_WORK, DEFAULT_PLANNER, GLANCE, parse_for_kairos, search, validate, worth
 from planner_bridge.planning.parts import can_have_parts
 from planner_bridge.planning.validate import InvalidPlan, explained, last_state, validated
 from pnm.core.knowledge_base import KnowledgeBase
@@ -110,7 +110,7 @@ def solve(
             seconds = rates.expected if rates is not None and (problem.is_timed or rates.are_measure(problem)) else None
             try:
                 thinking = Thinking(problem, timeout, cancel, seconds, rates.outcomes if rates else None)
-                policy = thinking.wait(began + _FOR_POLICIES * timeout - time.monotonic(), improve)
+                policy = thinking.wait(began + _FOR_POLICIES * timeout - time.monotonic(), improve, worth)
                 if policy is not None and (plan := policy.plan(initial_knowledge(problem))) is not None:
                     return PlanningResult(PlanningStatus.SOLVED, plan, planner=planner, policy=thinking)
                 del thinking  # which ends its search
@@ -431,7 +431,7 @@ def improvement(
     try:
         times = ends(steps_of(waiting))
         whole = max(times, default=0.0)
-        thinks = min(LONGEST, whole * SHARE) * AT_WORK if improve is None else min(improve, whole / 4.0)
+        thinks = worth(whole) * AT_WORK if improve is None else min(improve, whole / 4.0)
         begins = {call.index: end - rates.expected(call.action) for call, end in zip(waiting, times[len(going_on) :], strict=True)}
         stays = [call for call in waiting if begins[call.index] <= thinks * _SLACK]
         replaced = [call for call in waiting if begins[call.index] > thinks * _SLACK]

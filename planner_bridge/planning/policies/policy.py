@@ -18,7 +18,6 @@ from planner_bridge.model.grounding import ground_step, initial_knowledge, model
 from planner_bridge.model.plan import GAP, CancelToken, Plan, PlanStep
 from planner_bridge.model.problem import Problem
 from planner_bridge.model.progression import snapshot
-from planner_bridge.planning.kairos import LONGEST, SHARE
 from planner_bridge.planning.policies.chance import improve, take_chances
 from planner_bridge.planning.policies.encoding import OutcomePlanner
 from planner_bridge.planning.policies.grounding import Chances, Seconds, policy_task
@@ -210,20 +209,21 @@ class Thinking:
         thread.start()
         weakref.finalize(self, _end, stop, thread)
 
-    def wait(self, timeout: float, improve: float | None) -> Policy | None:
+    def wait(self, timeout: float, improve: float | None, worth: Callable[[float], float]) -> Policy | None:
         """Return a policy, once there is one; None if there is none in time.
 
         Args:
             timeout: seconds at most.
-            improve: seconds to wait for a better one; by default, a share of what it takes for one that is not sure to reach the goal, and
-                some for one that has other costs than its calls, of which it was not made to have few.
+            improve: seconds to wait for a better one; by default, some for one that has other costs than its calls, of which it was not
+                made to have few, and for one that is not sure to reach the goal at least what that is worth.
+            worth: returns the seconds to think of what takes so many.
         """
         until = time.monotonic() + timeout
         self._found.wait(timeout)
         if (found := self.policy) is not None and (improve is not None or not found.is_proved or found.measure != "calls"):
             if improve is None:
                 first = None if found.is_proved else found.entry(initial_knowledge(self.problem))
-                improve = _CHANCE if first is None else max(_CHANCE, min(LONGEST, first.expected * SHARE))
+                improve = _CHANCE if first is None else max(_CHANCE, worth(first.expected))
             self._over.wait(max(0.0, min(improve, until - time.monotonic())))
         return self.policy
 
