@@ -168,8 +168,8 @@ class _Grounding:
         """Yield what the number is compared with; what is infinite stands for what is not so simple."""
         for condition in self.compared[fluent]:
             others = [side for side in (condition.left, condition.right) if side != ValueOf(fluent)]
-            limit = value_of(others[0], self.constant)
-            yield from (limit,) if is_number(limit) and len(others) == 1 else (inf, -inf)
+            limit = value_of(others[0], self.constant) if len(others) == 1 else inf
+            yield from (limit,) if is_number(limit) else (inf, -inf)
 
     def comparison(self, condition: Compare, truth: bool) -> tuple[PartialState, ...]:
         """Return the parts of a comparison: one for each run of values for which it has this truth."""
