@@ -2,7 +2,8 @@
 
 A part of a long plan is a short problem, which Kairos solves best in milliseconds where the whole would take hours (Siddiqui and
 Haslum 2015, *Continuing Plan Quality Optimisation*, on windows of plans). Detours over places where nothing is done, things that are
-put down to be picked up again, and ways that could be gone once for two things, all lie in such parts.
+put down to be picked up again, and ways that could be gone once for two things, all lie in such parts. Most of them have a better one
+of calls like those of the plan: of these there are few, so that longer parts can be searched.
 
 What the rest needs is guessed from what it reads; a whole plan with another part is valid only by the validator.
 """
@@ -16,14 +17,16 @@ from math import ceil, floor, inf
 from typing import Final
 
 from planner_bridge.model.grounding import initial_knowledge
+from planner_bridge.model.guards import unused_name
 from planner_bridge.model.plan import Plan, PlanStep
-from planner_bridge.model.problem import Problem
+from planner_bridge.model.problem import Domain, Problem, once_per_domain
 from planner_bridge.model.progression import NotApplicable, Progression, calls_of, snapshot
 from planner_bridge.ordering.plan_to_graph import causal_links
 from planner_bridge.planning.normal_form import conditions_of
 from pnm.core.logic.conditions import All, Any, Compare, Condition, Holds, Not, conjunction, evaluate, every_part, fluents
+from pnm.core.logic.domain import Declaration
 from pnm.core.logic.effects import constants
-from pnm.core.logic.expressions import Arithmetic, Constant, Fluent, State, Unknown, ValueOf, is_number, value_of
+from pnm.core.logic.expressions import Arithmetic, Constant, Fluent, State, Unknown, Value, ValueOf, is_number, value_of
 
 _SIGNS: Final = {">": 1.0, ">=": 1.0, "<": -1.0, "<=": -1.0}
 SHORTEST: Final = 6
@@ -36,6 +39,28 @@ def can_have_parts(problem: Problem) -> bool:
     return not (problem.is_timed or watched)
 
 
+def narrowed(problem: Problem, steps: Sequence[PlanStep]) -> Problem:
+    """Return the problem with only those calls each of whose arguments a step of the same action has at the same place."""
+    domain, has_argument = _that_names_arguments(problem.domain)
+    init: dict[Fluent, Value] = dict(problem.init)
+    for step in steps:
+        init |= dict.fromkeys(zip(has_argument[step.action], step.arguments, strict=True), True)
+    return replace(problem, domain=domain, init=init)
+
+
+@once_per_domain
+def _that_names_arguments(domain: Domain) -> tuple[Domain, dict[str, tuple[str, ...]]]:
+    """Return the domain in which every action needs a fact for each of its arguments, and the predicates of these facts."""
+    predicates, actions, named = dict(domain.predicates), dict(domain.actions), dict[str, tuple[str, ...]]()
+    for name, schema in domain.actions.items():
+        named[name] = tuple(unused_name(f"{name}-argument-{place}", domain) for place in range(len(schema.parameters)))
+        needed = list(zip(named[name], schema.parameters, strict=True))
+        predicates |= {predicate: Declaration(predicate, (variable,)) for predicate, variable in needed}
+        facts = (Holds((predicate, variable.name)) for predicate, variable in needed)
+        actions[name] = replace(schema, precondition=conjunction([schema.precondition, *facts]))
+    return replace(domain, predicates=predicates, actions=actions), named
+
+
 def better_parts(
     problem: Problem,
     plan: Plan,
@@ -43,6 +68,8 @@ def better_parts(
     take: Callable[[Plan], bool],
 ) -> Iterator[bool]:
     """Replace parts of a plan by better ones: yield True after each part that was tried, the longest of which is all but the whole.
+
+    They are tried with arguments that the plan has, and then all once more with any.
 
     Args:
         solve: finds a better plan for a part, of which it gets the steps so far, and the metric after them; or none in a short time.
@@ -53,21 +80,24 @@ def better_parts(
     sides += [(right, left, {">": "<", "<": ">", ">=": "<=", "<=": ">="}.get(operation, "=")) for left, right, operation in sides]
     wanted = [(side.fluent[0], operation) for side, _, operation in sides if isinstance(side, ValueOf)]
     large = frozenset(name for name, _ in wanted) - {name for name, operation in wanted if not operation.startswith(">")}
-    rest, length = _Rest(problem, plan, large), SHORTEST
-    while length < len(plan.steps):
-        first = 0
-        while first < len(plan.steps) - 1:
-            last = min(first + length, len(plan.steps))
-            found = solve(rest.part(first, last), plan.steps[first:last], rest.metric(last))
-            if found is not None:
-                other = replace(plan, steps=(*plan.steps[:first], *found.steps, *plan.steps[last:]))
-                with suppress(NotApplicable):
-                    rest_of_other = _Rest(problem, other, large)
-                    if rest_of_other.reaches_goal and take(other):
-                        plan, rest, first = other, rest_of_other, first - length
-            first = max(0, first + length // 2)
-            yield True
-        length += length // 2
+    rest = _Rest(problem, plan, large)
+    for is_narrow in (True, False):
+        length = SHORTEST
+        while length < len(plan.steps):
+            first = 0
+            while first < len(plan.steps) - 1:
+                last = min(first + length, len(plan.steps))
+                part = rest.part(first, last)
+                found = solve(narrowed(part, plan.steps) if is_narrow else part, plan.steps[first:last], rest.metric(last))
+                if found is not None:
+                    other = replace(plan, steps=(*plan.steps[:first], *found.steps, *plan.steps[last:]))
+                    with suppress(NotApplicable):
+                        rest_of_other = _Rest(problem, other, large)
+                        if rest_of_other.reaches_goal and take(other):
+                            plan, rest, first = other, rest_of_other, first - length
+                first = max(0, first + length // 2)
+                yield True
+            length += length // 2
 
 
 def _spare(condition: Condition, states: tuple[State, State], fluent: Fluent) -> float:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import replace
 
 import pytest
 
@@ -12,7 +13,7 @@ from planner_bridge.model.problem import Problem
 from planner_bridge.pddl import parse_domain, parse_problem
 from planner_bridge.pipeline.loading import load
 from planner_bridge.planning import kairos
-from planner_bridge.planning.parts import better_parts, can_have_parts
+from planner_bridge.planning.parts import better_parts, can_have_parts, narrowed
 from planner_bridge.planning.solve import solve
 from planner_bridge.planning.validate import why_invalid
 from tests.support.files import ROOT
@@ -106,6 +107,33 @@ def test_a_part_leaves_no_more_of_a_number_than_the_rest_needs() -> None:
 def test_of_plans_with_times_or_preferences_no_part_is_replaced(problem: Problem) -> None:
     assert not can_have_parts(problem)
     assert can_have_parts(rooms())
+
+
+def test_parts_are_first_tried_with_arguments_that_the_plan_has() -> None:
+    problem = rooms(goal="(and (clean b) (at r1 a))", ways="ab ba bc cb ac ca")
+    by_way_of_c = plan_of("move r1 a b", "sweep r1 b", "move r1 b c", "move r1 c a", "move r1 a b", "move r1 b c", "move r1 c a")
+    others: list[bool] = []
+
+    def noted(part: Problem, *_: object) -> None:
+        others.append(solve(replace(part, goal=rooms(goal="(at r2 b)").goal), improve=0.0).plan is not None)
+
+    assert all(better_parts(problem, by_way_of_c, noted, lambda plan: False))
+    assert others == sorted(others), "with any arguments only once those of the plan have been tried"
+    assert {*others} == {False, True}
+
+
+def test_a_household_is_tidied_up_with_few_calls_once_it_is_known_which_things_are_needed() -> None:
+    house = ROOT / "domains" / "household"
+    problem = load(house / "domain.pddl", house / "problem4.pddl")
+    first = solve(problem, improve=0.0).plan
+    assert first is not None
+    search = kairos.kairos.Planner().start(kairos.parse_for_kairos(narrowed(problem, first.steps)), anytime=True, threads=1)
+    began, calls = time.process_time(), len(first.steps)
+    while calls > 40 and time.process_time() < began + 1.0:  # with all things, that takes four seconds
+        found = search.next_plan(0.05)
+        calls = calls if found is None else len(found.steps)
+    search.stop()
+    assert calls <= 40 < len(first.steps)
 
 
 def test_parts_wait_until_the_search_has_brought_nothing_better_for_a_while(monkeypatch: pytest.MonkeyPatch) -> None:
