@@ -65,7 +65,9 @@ _BESIDE: Final = {"ehc": 0.2, "goals": 0.2, "novelty": 0.6}
 """Other ways of searching in Kairos, which it has beside its own one. Once there is a plan: one after the other, each for this share
 of the time for improvement. While there is none: one more whenever so much time has passed again. Each finds plans for some problems."""
 _NARROW: Final = 0.4
-"""Share of the time for improvement for plans of calls like those of the first plan, of which there are few."""
+"""Share of the time for improvement for plans of calls like those of the best plan, of which there are few."""
+_SETTLED: Final = 0.1
+"""Seconds of processor time of this process, without a better plan, after which they are looked for like those of the best one by then."""
 _TOGETHER: Final = 0.3
 """Share of the time for improvement for plans in which calls go on side by side, where these take less time."""
 _PATIENCE: Final = 1.0
@@ -173,7 +175,8 @@ def search_with_kairos(
     robots can work side by side, one more looks for plans with times, of which only the order of the calls is kept.
 
     Beside the first search, one looks among calls like those of the best plan, of which there are few: where a house has many places, it
-    finds in a tenth of the time what takes the first one seconds.
+    finds in a tenth of the time what takes the first one seconds. It looks for few calls as well, and then, with learned rates, for little
+    time by the seconds of each call.
 
     Where actions take differently long, the first search is for few calls all the same, which it finds much sooner; those that come
     beside it, or after it if it ends, are for little time.
@@ -189,6 +192,7 @@ def search_with_kairos(
     together: kairos.Search | None = None
     narrow: kairos.Search | None = None
     alike: Plan | None = None
+    is_priced = False
     until, began, patience = time.monotonic() + timeout, time.process_time(), inf if improve == 0.0 else _PATIENCE
     helpers = iter(sorted(_BESIDE, key=_BESIDE.__getitem__, reverse=True))
     first = news = deadline = inf
@@ -217,13 +221,20 @@ def search_with_kairos(
                 came, allowed = time.process_time(), best.worth if improve is None else improve
                 alone = came + _ALONE * allowed if known is None else alone
                 parts = better_parts(problem, best.plan, best.of_part, best.take) if can_have_parts(problem) else iter(())
-        settled = time.process_time() >= came + _PART and not is_over
-        if settled and best.plan is not None and best.plan is not alike and can_have_parts(problem):
-            alike = best.plan
+        is_settled = time.process_time() >= came + _SETTLED and not (is_over or (is_priced and narrow and narrow.running()))
+        if (
+            is_settled
+            and best.plan
+            and can_have_parts(problem)
+            and (best.plan is not alike or (by_call and not is_priced and not is_alone))
+        ):
+            is_priced |= by_call and best.plan is alike
+            alike, came = best.plan, time.process_time()
             if narrow is not None:
                 narrow.stop()
-            narrow = begin(parse_for_kairos(narrowed(problem, alike.steps)), timeout=allowed * _NARROW)
-            searches.append(narrow)
+            small = narrowed(problem, alike.steps)
+            small = priced(small, rates, by_call=True) if rates is not None and is_priced else small
+            searches.append(narrow := begin(parse_for_kairos(small), timeout=allowed * _NARROW))
         if best.plan is not None:
             allowed = best.worth * (1.0 if known is None else AT_WORK) if improve is None else improve
             deadline = first + allowed if improve is not None else min(first + allowed, news + allowed * _IN_VAIN)

@@ -5,11 +5,13 @@ from __future__ import annotations
 import time
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
+from threading import Event
 
 import pytest
 
 from planner_bridge.model.plan import Plan, PlanStep
 from planner_bridge.model.problem import Problem
+from planner_bridge.model.rates import NO_RATES, Call, Counts, End
 from planner_bridge.pddl import parse_domain, parse_problem
 from planner_bridge.pipeline.loading import load
 from planner_bridge.planning import kairos
@@ -134,6 +136,23 @@ def test_a_household_is_tidied_up_with_few_calls_once_it_is_known_which_things_a
         calls = calls if found is None else len(found.steps)
     search.stop()
     assert calls <= 40 < len(first.steps)
+
+
+def test_with_learned_seconds_calls_like_those_of_the_plan_are_weighed_by_their_own(monkeypatch: pytest.MonkeyPatch) -> None:
+    house, parse, weighed = ROOT / "domains" / "household", kairos.parse_for_kairos, Event()
+    problem = load(house / "domain.pddl", house / "problem4.pddl")
+
+    def noted(asked: Problem) -> object:
+        if "navigate-argument-0" in asked.domain.predicates and asked.metric is not None and asked.goal == problem.goal:
+            weighed.set()
+        return parse(asked)
+
+    monkeypatch.setattr(kairos, "parse_for_kairos", noted)
+    monkeypatch.setattr(kairos, "_ALONE", 0.0)  # else it begins some seconds later
+    drive = Call("navigate", "navigate", ("robot", "table", "pantry", "kitchen"))
+    learned = NO_RATES.grown("journal", 1, [(drive, Counts.of(End.SUCCEEDED, 5.0))])
+    assert solve(problem, improve=20.0, cancel=weighed, learned=learned).plan
+    assert weighed.is_set()
 
 
 def test_parts_wait_until_the_search_has_brought_nothing_better_for_a_while(monkeypatch: pytest.MonkeyPatch) -> None:
