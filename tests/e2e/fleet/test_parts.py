@@ -59,11 +59,11 @@ class Parts(ProblemDeployment):
 
     def __init__(self, folder: Path, domain: int, journal: str) -> None:
         super().__init__("", folder, domain, bindings=BINDINGS, speed="4", quick=True, texts=(DOMAIN, PROBLEM))
-        self.journal = journal
+        self.database = journal
         self.robots: SimulationProgram = self.simulate().ready()
 
     def serve(self, part: int, *more: str, count: int = 2) -> Serving:
-        options = [*self._bindings, "--journal", self.journal, "--lease", "2", "--improve", "0", "--part", f"{part}/{count}", *more]
+        options = [*self._bindings, "--journal", self.database, "--lease", "2", "--improve", "0", "--part", f"{part}/{count}", *more]
         names = ["--ros-args", "-r", f"__ns:=/part{part}"]
         return self.start(Serving(["-m", "planner_bridge", "serve", *self.files, *options, *names], self.environment))
 
@@ -77,7 +77,7 @@ class Parts(ProblemDeployment):
 
     def history(self, part: int) -> list[dict[str, object]]:
         """Return the tasks of the journal of a part."""
-        history = self.start(Program(["-m", "planner_bridge", "history", f"{self.journal}?name=pnm_{part}", "--json"], self.environment))
+        history = self.start(Program(["-m", "planner_bridge", "history", f"{self.database}?name=pnm_{part}", "--json"], self.environment))
         assert history.ended() == 0, str(history)
         return [json.loads(line) for line in history.out]
 
