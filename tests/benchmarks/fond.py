@@ -6,7 +6,7 @@ usage: python -m tests.benchmarks.fond [--problems DIR] [--trials N] [--only GLO
 A folder has a manifest.json with the names of its problems, each a folder with domain.pddl and problem.pddl, and with figures that were
 published for PRP and for a replanner (ffr), on other computers. The world reads PDDL by itself, draws each outcome, reports every change,
 and judges whether the goal holds: a task that says so wrongly is a false success. A trial without an end within --seconds hangs, and one
-of more actions than --limit has failed. A policy alone is sought for half of --seconds. Optima are of all states that can be reached,
+of more actions than --limit has failed. A planner may take half of --seconds. Optima are of all states that can be reached,
 where these are at most 20,000.
 
 `--replanner` asks a planner about the outcomes as actions to choose from, and again when another one happens: without policies.

@@ -83,7 +83,7 @@ def trial(chance: Chance, problem: Problem, way: Way, seed: int, kept: Kept) -> 
     if way.way == "policy":
         why = alone(world, problem, way, kept)
     else:
-        result = run_async(achieve_at(world, problem, Settings(memory=kept)), virtual=True)
+        result = run_async(achieve_at(world, problem, Settings(planner_timeout=way.seconds / 2, memory=kept)), virtual=True)
         why = "" if result.goal_reached else f"{result.code.word}: {result.reason}"[:300]
     return {
         "seed": seed,
