@@ -280,7 +280,7 @@ def _end(stop: _Either, thread: threading.Thread) -> None:
     """Let a thread come to its end: at the end of the program, too, which does not wait for daemons."""
     stop.set()
     if thread is not threading.current_thread():
-        thread.join(1.0)
+        thread.join(10.0)  # a process that ends within a call of Kairos is aborted: on a busy machine a second is too short
 
 
 def policies(
