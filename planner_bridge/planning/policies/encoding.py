@@ -24,8 +24,13 @@ from pnm.core.logic.conditions import Holds, Not
 from pnm.core.logic.domain import Declaration
 from pnm.core.logic.expressions import Constant, fluent_text
 
-WAYS: Final = (("ff", 0.2), ("eager-lama", 1.0), ("auto", 5.0))
-"""Ways of searching in Kairos, and the seconds that each gets; the last one, its own, also proves that there is no plan."""
+_OWN: Final = "auto"
+WAYS: Final = (("ff", 0.2), (_OWN, 0.5), ("eager-lama", 1.0), (_OWN, 5.0))
+"""Ways of searching in Kairos, and the seconds that each gets; its own one also proves that there is no plan."""
+_LONGER: Final = 2.0
+"""How much longer than the longest search that found a plan all ways together may take: most that take longer find none."""
+_SHORT: Final = 1.0
+"""Seconds that they may take in any case."""
 
 Step = tuple[PolicyAction, int]
 """An action, and the number of the outcome that is hoped for."""
@@ -36,7 +41,7 @@ class OutOfTime(Exception):
 
 
 class OutcomePlanner:
-    """What Kairos is asked for: a plan for the case that every outcome can be chosen. The domain's text is mutable state."""
+    """What Kairos is asked for: a plan for the case that every outcome can be chosen. Its text and what found plans are mutable state."""
 
     def __init__(self, problem: Problem, task: PolicyTask) -> None:
         self._task, self._planner = task, kairos.Planner()  # type: ignore[no-untyped-call]
@@ -64,11 +69,12 @@ class OutcomePlanner:
         self._parsed: tuple[object, kairos.Domain] | None = None
         self._copies: dict[str, Step] = {}
         self._guarding = ""
+        self._longest = 0.0
 
     def plan(
         self, state: int, forbidden: Mapping[PolicyAction, Sequence[PartialState]], until: float, ways: Sequence[tuple[str, float]] = WAYS
     ) -> list[Step] | None:
-        """Return steps from the state to the goal; None if there are none, which only the last way of searching is believed.
+        """Return steps from the state to the goal; None if there are none, which only Kairos' own way of searching is believed.
 
         Raises:
             OutOfTime: none were found in time, or by this time on the clock of `time.monotonic`.
@@ -78,9 +84,10 @@ class OutcomePlanner:
         facts = " ".join((*map(fluent_text, self._task.named(state)), *numbers))
         parsed = kairos.parse_problem(f"{self._before} {facts} {self._guarding}{self._after}", domain)
         self.calls += 1
-        status = None
+        status, began = None, time.monotonic()
+        until = min(until, began + max(_SHORT, _LONGER * self._longest)) if self._longest else until
         for way, seconds in ways:
-            if status is kairos.Status.UNSOLVABLE and way != WAYS[-1][0]:
+            if status is kairos.Status.UNSOLVABLE and way != _OWN:
                 continue
             limit = min(seconds, until - time.monotonic())
             if limit <= 0.0:
@@ -92,7 +99,10 @@ class OutcomePlanner:
                 found = search.best()
             search.stop()
             if found is not None:
+                self._longest = max(self._longest, time.monotonic() - began)
                 return [self._step(step) for step in found.steps]
+            if status is kairos.Status.UNSOLVABLE and way == _OWN:
+                break
         if status is kairos.Status.UNSOLVABLE and not self._task.scales:  # with numbers, Kairos 1.0.6 says so of others, too
             return None
         raise OutOfTime

@@ -33,7 +33,7 @@ from pnm.core.logic.expressions import Constant, Fluent, State, ValueOf
 
 _CHANCE: Final = 0.5
 """Seconds for a better chance before the first action."""
-_CERTAIN: Final = 0.5
+_CERTAIN: Final = 0.6
 """Part of the time in which a policy is looked for that reaches the goal for certain."""
 
 
