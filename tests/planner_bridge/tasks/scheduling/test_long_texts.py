@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import sys
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -36,9 +37,12 @@ def counted() -> Iterator[Callable[[], int]]:
             turns += 1
             await asyncio.sleep(0)
 
+    before = sys.getswitchinterval()
+    sys.setswitchinterval(1e-4)  # a turn lets the other thread work for so long: with the usual 5 ms, there are 6 turns while it decides
     counting = asyncio.ensure_future(count())
     yield lambda: turns
     counting.cancel()
+    sys.setswitchinterval(before)
 
 
 async def turns_until(simulation: TaskSimulation, task: UUID, kind: str, text: str, times: int = 1) -> int:
