@@ -9,6 +9,7 @@ from __future__ import annotations
 import time
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from itertools import product
 from math import inf
 from typing import Final, NamedTuple
@@ -162,13 +163,14 @@ class Envelope:
         until: float,
     ) -> None:
         """Work out values of states anew until none differs: each again only when one that it may lead to has changed."""
-        touched: set[int] = set(states)
+        every = set(states)
+        touched = dict.fromkeys(states)
         while touched and not self._is_over(until):
-            now, touched = touched, set()
-            for state in states:
-                if state in now and differs(values[state], new := value(state)):
+            now, touched = touched, {}
+            for state in now:
+                if differs(values[state], new := value(state)):
                     values[state] = new
-                    touched.update(self._before[state])
+                    touched |= dict.fromkeys(one for one in self._before[state] if one in every)
 
     def _certain(self) -> set[int]:
         """Return the states from which the goal can be reached for certain."""
@@ -193,12 +195,12 @@ class Envelope:
 def improve(search: Search, until: float) -> Iterator[None]:
     """Choose actions anew, among all that keep the goal certain, in the states that the entries lead to, as long as that takes less.
 
-    Then also in more and more states beside these, to which other actions may lead, and for which entries are found.
-    Where costs differ, which plans know nothing of, all states are looked into first, if they are few.
+    Then also in more and more states beside these, to which other actions may lead, and for which entries are found, and in those on the
+    way of plans of their own for the states where another plan went on. All states are looked into if they are few, at once if very few.
     """
-    initial, others, most = search.task.initial, list[int](), _AT_ONCE
+    initial, others, most, planned = search.task.initial, list[int](), _AT_ONCE, set[int]()
     every = Envelope(search, lambda state: KnownEnd(0.0, 0.0) if search.task.goal_in(state) else None)
-    if search.task.measure != "calls" and every.grow(initial, until, _FEW):
+    if every.grow(initial, until, _FEW):
         search.follow(every.best(until), initial)
         yield
         return
@@ -228,14 +230,19 @@ def improve(search: Search, until: float) -> Iterator[None]:
         if first is not None and first.expected < before.expected * (1.0 - _CLOSE):
             most = _AT_ONCE
             yield
-        elif most < _IN_VAIN and len(search.entries) < _FEW and (new := beside(search, dict.fromkeys((*costs, *others)), most)):
+        elif most < _IN_VAIN and len(search.entries) < _FEW and (new := settle_neighbours(search, dict.fromkeys((*costs, *others)), most)):
             others += new
             most *= 2
+        elif len(search.entries) < _FEW and (new := settle_plans(search, costs, planned, until)):
+            others += new
         else:
+            if every.grow(initial, until, _SOME):
+                search.follow(every.best(until), initial)
+                yield
             return
 
 
-def beside(search: Search, known: Mapping[int, None], most: int) -> list[int]:
+def settle_neighbours(search: Search, known: Mapping[int, None], most: int) -> list[int]:
     """Find entries for states that other actions may lead to, those of several outcomes first; return the new ones, about so many."""
     found: dict[int, None] = {}
     for is_certain, state in product((False, True), known):
@@ -245,6 +252,24 @@ def beside(search: Search, known: Mapping[int, None], most: int) -> list[int]:
             after = dict.fromkeys(outcome.after(state) for outcome in action.outcomes)
             if (len(after) == 1) is is_certain and not all(one in known or one in found for one in after) and all(map(search.run, after)):
                 found |= {one: None for one in after if one not in known}
+    return [*found]
+
+
+def settle_plans(search: Search, known: Mapping[int, float], planned: set[int], until: float) -> list[int]:
+    """Find entries for the states on the way of new plans for known states that are not planned for yet; return those of some plans."""
+    found: dict[int, None] = {}
+    for state in known:
+        if len(found) >= _AT_ONCE or search.is_over(until):
+            break
+        if state not in planned and search.task.goal_in(state) is None:
+            planned.add(state)
+            with suppress(OutOfTime):
+                steps = search.kairos.plan(state, search.dead.forbidden, until, WAYS[:1]) or []
+                search.keep(state, steps)
+                for action, number in steps:
+                    state = action.outcomes[number].after(state)
+                    if state not in known and search.run(state):
+                        found[state] = None
     return [*found]
 
 
@@ -279,20 +304,17 @@ def take_chances(search: Search, until: float) -> Iterator[None]:
     envelope = Envelope(search, end, is_lost)
     now = time.monotonic()
     _widen(search, avoided, envelope, now + _SHARE * (until - now), unseen=1.0)
-    if follow() < 1.0:
-        yield
-    most = _FEW
-    while not envelope.grow(task.initial, until, most):
+    for most in (0, _FEW, 2 * _FEW, 4 * _FEW, MOST_STATES):
+        is_whole = bool(most) and envelope.grow(task.initial, until, most)
         if (risk := follow()) < 1.0:
             yield
+        if is_whole or search.is_over(until):
+            return
         now = time.monotonic()
         if most == _FEW and _widen(search, avoided, envelope, now + _SHARE * (until - now), unseen=0.0, enough=risk):
-            break
-        if most == MOST_STATES or search.is_over(until):
+            if follow() < risk:
+                yield
             return
-        most = min(2 * most, MOST_STATES)
-    if follow() < 1.0:
-        yield
 
 
 def _widen(search: Search, avoided: DeadStates, envelope: Envelope, until: float, unseen: float, enough: float = inf) -> bool:

@@ -29,7 +29,7 @@ WAYS: Final = (("ff", 0.2), (_OWN, 0.5), ("eager-lama", 1.0), (_OWN, 5.0))
 """Ways of searching in Kairos, and the seconds that each gets; its own one also proves that there is no plan."""
 _LONGER: Final = 2.0
 """How much longer than the longest search that found a plan all ways together may take: most that take longer find none."""
-_SHORT: Final = 1.0
+_SHORT: Final = 0.7
 """Seconds that they may take in any case."""
 
 Step = tuple[PolicyAction, int]

@@ -16,6 +16,7 @@ from planner_bridge.planning.policies.numbers import AtLeast, PartlyKnown, Scale
 from planner_bridge.planning.policies.task import (
     ANY,
     NO_RULES,
+    OF_METRIC,
     Change,
     Counting,
     GroundRules,
@@ -97,7 +98,7 @@ class _Grounding:
         counted = metric.expression.fluent if metric and isinstance(metric.expression, ValueOf) else TOTAL_TIME
         self.total = counted if counted[0] in self.changing else None
         """What the metric counts, if it does."""
-        self.measure = "of the metric" if self.total else "s" if seconds or problem.is_timed else "calls"
+        self.measure = OF_METRIC if self.total else "s" if seconds or problem.is_timed else "calls"
         conditions, functions = [*conditions_of(problem), *(rule.condition for rule in self.rules)], problem.domain.functions
         read = frozenset().union(*map(names, conditions))
         self.counted = frozenset(name for name in self.changing & read & functions.keys() if not functions[name].values)

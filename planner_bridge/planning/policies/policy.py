@@ -25,7 +25,7 @@ from planner_bridge.planning.policies.numbers import ANY_NUMBER, Scale
 from planner_bridge.planning.policies.proof import unproved
 from planner_bridge.planning.policies.search import Interrupted, Search
 from planner_bridge.planning.policies.steps import MOST, Step, policy_steps
-from planner_bridge.planning.policies.task import PolicyTask
+from planner_bridge.planning.policies.task import OF_METRIC, PolicyTask
 from pnm.core.knowledge_base import KnowledgeBase, statement_text
 from pnm.core.logic.conditions import Compare, evaluate
 from pnm.core.logic.effects import Effects, changes
@@ -222,7 +222,7 @@ class Thinking:
         self._found.wait(timeout)
         if (found := self.policy) is not None and (improve is not None or not found.is_proved or found.measure != "calls"):
             if improve is None:
-                first = None if found.is_proved else found.entry(initial_knowledge(self.problem))
+                first = None if found.is_proved or found.measure == OF_METRIC else found.entry(initial_knowledge(self.problem))
                 improve = _CHANCE if first is None else max(_CHANCE, worth(first.expected))
             self._over.wait(max(0.0, min(improve, until - time.monotonic())))
         return self.policy

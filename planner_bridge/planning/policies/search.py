@@ -51,6 +51,20 @@ class SettledPart(NamedTuple):
     """None at the goal."""
 
 
+class KeptStep(NamedTuple):
+    """A step of a plan. The nearest to the goal comes first."""
+
+    distance: int
+    """Steps until the goal."""
+    number: int
+    """In the order in which they were kept, so that they can be sorted."""
+    need: PartialState
+    """What has to hold before it, so that the rest of the plan can follow."""
+    action: PolicyAction
+    ahead: int
+    """Facts that become true by it or after it."""
+
+
 class BestWays(NamedTuple):
     """What is best in states all ways of which were looked at: the action, the risk, and the expected cost."""
 
@@ -86,8 +100,7 @@ class Search:
         self._best = BestWays({}, {}, {})
         self._lost = frozenset[int]()
         """States that are given up."""
-        self._plans: list[tuple[int, int, PartialState, PolicyAction]] = []
-        """What has to hold before the steps of plans, and these, the nearest to the goal first."""
+        self._plans: list[KeptStep] = []
         self._kept = set[tuple[PartialState, PolicyAction]]()
         self._looked_at = set[int]()
         """States of which is known whether they are dead ends even if nothing is undone."""
@@ -201,6 +214,9 @@ class Search:
                 return action
             if self._is_dead(state):
                 return None
+            if state not in self._avoided and (nearest := self._nearest(state)) is not None:
+                self.keep(state, [nearest])
+                continue
             steps: list[Step] | None = None
             try:
                 steps = self.kairos.plan(state, self.dead.forbidden, self.until)
@@ -211,7 +227,7 @@ class Search:
             if steps is None:
                 self._doomed.add(state)
             else:
-                self._keep(state, steps)
+                self.keep(state, steps)
         for action, part in self._forbidden_here.pop(state, ()):
             self.dead.allow(action, part)
         return None
@@ -236,8 +252,43 @@ class Search:
             return chosen
         if state in self._avoided:
             return None
-        fitting = (action for _, _, part, action in self._plans if part.holds(state))
-        return next((action for action in fitting if not self.dead.is_forbidden(action, state)), None)
+        return next((kept.action for kept in self._fitting(state)), None)
+
+    def _fitting(self, state: int) -> Iterator[KeptStep]:
+        """Yield the steps of plans that can be used in the state, the nearest to the goal first."""
+        return (kept for kept in self._plans if kept[2].holds(state) and not self.dead.is_forbidden(kept[3], state))
+
+    def _onward(self, state: int) -> tuple[int, PartialState] | None:
+        """Return how many steps it takes to the goal with luck, and what has to hold for that; None if no way is known."""
+        if (entry := self.settled(state)) is not None:
+            return (int(entry.distance), entry.need) if entry.risk < 1.0 else None
+        return next(((kept.distance, kept.need) for kept in self._fitting(state)), None)
+
+    def _nearest(self, state: int) -> Step | None:
+        """Return a step that leads, with luck, to where there is a way already, the shortest such way; None if there is none."""
+        found: list[tuple[int, int, Step]] = []
+        for action in self.task.usable(state):
+            if not self.dead.is_forbidden(action, state):
+                for number, outcome in enumerate(action.outcomes):
+                    after = outcome.after(state)
+                    if after != state and after not in self._doomed and (onward := self._onward(after)) is not None:
+                        found.append((onward[0], len(found), (action, number)))
+        steps = (step for _, _, step in sorted(found))
+        return next((step for step in steps if self._leads_on(step[0].outcomes[step[1]].after(state))), None)
+
+    def _leads_on(self, state: int) -> bool:
+        """Return whether the actions that are known by now lead, with luck, from the state to the goal or to an entry."""
+        seen, waiting = {state}, [state]
+        while waiting:
+            at = waiting.pop()
+            if (entry := self.settled(at)) is not None and entry.risk < 1.0:
+                return True
+            action = self._known(at)
+            for after in (outcome.after(at) for outcome in action.outcomes) if action is not None else ():
+                if after not in seen and after not in self._doomed:
+                    seen.add(after)
+                    waiting.append(after)
+        return False
 
     def _is_dead(self, state: int) -> bool:
         """Return whether the state is a dead end even if nothing is undone; note that it is."""
@@ -245,13 +296,14 @@ class Search:
             self.dead.add(part)
         return part is not None
 
-    def _keep(self, state: int, steps: list[Step]) -> None:
+    def keep(self, state: int, steps: list[Step]) -> None:
         """Keep a plan, unless an outcome on its way is a dead end; that is noted.
 
         What is kept: its actions for the states on its way, and what has to hold before each for whatever other states fit.
         """
         way: list[tuple[int, Step]] = []
-        ahead = [0]
+        last = reduce(lambda at, step: step[0].outcomes[step[1]].after(at), steps, state)
+        ahead = [next((kept.ahead for kept in self._fitting(last)), 0)]
         for action, number in reversed(steps):
             ahead.append(reduce(or_, (change.add for change in action.outcomes[number].changes), ahead[-1]))
         is_safe = True
@@ -259,7 +311,7 @@ class Search:
             if self.task.goal_in(state) or step[0].condition_in(state) is None:
                 break
             hoped = step[0].outcomes[step[1]].after(state)
-            for taken in self.alike(state, step, ahead[len(steps) - len(way)]):
+            for taken in self.siblings(state, step, ahead[len(steps) - len(way)]):
                 action = taken[0]
                 for after in (outcome.after(state) for outcome in action.outcomes):
                     is_new = after not in self._looked_at and after != hoped  # from there the plan goes on
@@ -275,7 +327,7 @@ class Search:
             state = hoped
         if not is_safe:
             return
-        need = self.task.goal_in(state)
+        left, need = self._onward(state) or (0, None)
         if need is None and not way:  # Kairos, which does not round numbers, has a plan where there is none
             self._doomed.add(state)
             self.dead.is_certain = False
@@ -287,13 +339,13 @@ class Search:
             need = self.task.closed(condition.joined(action.outcomes[number].before(need, state)))
             if (need, action) not in self._kept:
                 self._kept.add((need, action))
-                insort(self._plans, (distance, len(self._kept), need, action))
+                insort(self._plans, KeptStep(left + distance, len(self._kept), need, action, ahead[len(ahead) - len(way) - 1 + distance]))
         for state, (action, _) in way:
             if (chosen := self._chosen.get(state)) is not None and not self.dead.is_forbidden(chosen, state):
                 break
             self._chosen[state] = action
 
-    def alike(self, state: int, step: Step, ahead: int) -> list[Step]:
+    def siblings(self, state: int, step: Step, ahead: int) -> list[Step]:
         """Return a step and others that hope for the same, those first of which more that is ahead is to be expected."""
         if len(step[0].outcomes) == 1:
             return [step]
@@ -376,9 +428,15 @@ class Search:
         for state in component:
             need, its = self.task.closed(self.task.rules.stored(needs[state], state)), max(least, round(risk[state], 6))
             entry = SettledPart(its, expected[state], distance[state], need, len(self.entries), actions[state])
-            if not any(entry.need.implies(other.need) for other in self.entries if other[:2] <= entry[:2]):
+            if not self._has_as_good(entry):
                 self.entries.append(entry)
         return True
+
+    def _has_as_good(self, entry: SettledPart) -> bool:
+        """Return whether there is an entry that is as good, for all states of this one. It is asked thousands of times of thousands."""
+        risk, expected, _, (true, false), *_ = entry
+        fitting = (other for other in self.entries if not (other[3][0] & ~true or other[3][1] & ~false))
+        return any(other[0] < risk or (other[0] == risk and other[1] <= expected) for other in fitting)
 
 
 def _solve(rows: list[tuple[int, float, list[tuple[int, float]]]], values: dict[int, float]) -> None:

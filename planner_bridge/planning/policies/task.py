@@ -50,6 +50,8 @@ class PartialState(NamedTuple):
 
 ANY: Final = PartialState()
 """Every state."""
+OF_METRIC: Final = "of the metric"
+"""The measure of costs where the problem has a metric, in place of seconds or calls."""
 
 
 def places(bits: int) -> Iterator[int]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator
 from itertools import pairwise
+from typing import Any
 
 import pytest
 from hypothesis import given, settings, strategies as st
@@ -15,6 +16,7 @@ from planner_bridge.model.problem import Problem
 from planner_bridge.pddl.reader import parse_domain, parse_problem
 from planner_bridge.planning.policies.chance import Envelope
 from planner_bridge.planning.policies.dead_ends import DeadStates
+from planner_bridge.planning.policies.encoding import OutcomePlanner, Step
 from planner_bridge.planning.policies.policy import Policy, policies
 from planner_bridge.planning.policies.proof import unproved
 from planner_bridge.planning.solve import solve
@@ -177,3 +179,27 @@ def test_of_actions_that_hope_for_the_same_a_plan_has_the_one_that_does_not_lead
     policy = next(policies(parse_problem(text, parse_domain(WALK % names)), 60.0))
     assert policy.is_proved
     assert policy.steps()[0].expected < 12.0
+
+
+FALLS = """
+(define (domain falls) (:requirements :typing :non-deterministic) (:types stair)
+  (:predicates (on ?s - stair) (above ?a ?b - stair) (lying))
+  (:action climb :parameters (?a ?b - stair) :precondition (and (on ?a) (above ?b ?a) (not (lying)))
+    :effect (oneof (and (not (on ?a)) (on ?b)) (lying)))
+  (:action rise :parameters (?s - stair) :precondition (and (on ?s) (lying)) :effect (not (lying))))
+"""
+
+
+def test_what_goes_wrong_is_led_back_to_a_known_way_without_another_plan(monkeypatch: pytest.MonkeyPatch) -> None:
+    stairs, asked = [f"s{number}" for number in range(9)], list[int]()
+    init = " ".join(f"(above {upper} {lower})" for lower, upper in pairwise(stairs))
+    text = f"(define (problem p) (:domain falls) (:objects {' '.join(stairs)} - stair) (:init (on s0) {init}) (:goal (on s8)))"
+    plan = OutcomePlanner.plan
+
+    def counted(self: OutcomePlanner, state: int, *others: Any) -> list[Step] | None:
+        asked.append(state)
+        return plan(self, state, *others)
+
+    monkeypatch.setattr(OutcomePlanner, "plan", counted)
+    policy = next(policies(parse_problem(text, parse_domain(FALLS)), 60.0))
+    assert (policy.is_proved, len(asked), len(policy.entries)) == (True, 1, 16)
