@@ -42,6 +42,8 @@ PORTFOLIO: Final = "race"
 """The planner's name for a portfolio of what is installed; ``race:kairos,aries`` names its members."""
 _FOR_POLICIES: Final = 0.8
 """Part of the time for a policy; in the rest, a plan is looked for as if outcomes could be chosen."""
+_POLICY_AT_WORK: Final = 2.0
+"""Seconds for which a policy is improved at least while robots work, if nothing else is said."""
 _LONGEST: Final = 1e9
 """Seconds that a search may take: the clocks of planners overflow with far more."""
 _PORTFOLIO_OF: Final = f"{PORTFOLIO}:"
@@ -109,7 +111,12 @@ def solve(
             began = time.monotonic()
             seconds = rates.expected if rates is not None and (problem.is_timed or rates.are_measure(problem)) else None
             try:
-                thinking = Thinking(problem, timeout, cancel, seconds, rates.outcomes if rates else None)
+                chances = rates.outcomes if rates else None
+
+                def at_work(taken: float) -> float:
+                    return max(_POLICY_AT_WORK, AT_WORK * worth(taken)) if improve is None else improve
+
+                thinking = Thinking(problem, timeout, cancel, seconds, chances, at_work)
                 policy = thinking.wait(began + _FOR_POLICIES * timeout - time.monotonic(), improve, worth)
                 if policy is not None and (plan := policy.plan(initial_knowledge(problem))) is not None:
                     return PlanningResult(PlanningStatus.SOLVED, plan, planner=planner, policy=thinking)

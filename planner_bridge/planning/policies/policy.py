@@ -199,12 +199,13 @@ class Thinking:
         cancel: CancelToken | None = None,
         seconds: Seconds | None = None,
         chances: Chances | None = None,
+        at_work: Callable[[float], float] = lambda _: inf,
     ) -> None:
         self.problem = problem
         self.policies: tuple[Policy, ...] = ()
         self._found, self._over = threading.Event(), threading.Event()
         stop = _Either(cancel)
-        better = policies(problem, timeout, stop, seconds, chances)
+        better = policies(problem, timeout, stop, seconds, chances, at_work)
         thread = threading.Thread(target=_think, args=(weakref.ref(self), better, self._found, self._over), daemon=True)
         thread.start()
         weakref.finalize(self, _end, stop, thread)
@@ -284,24 +285,32 @@ def _end(stop: _Either, thread: threading.Thread) -> None:
 
 
 def policies(
-    problem: Problem, timeout: float, cancel: CancelToken | None = None, seconds: Seconds | None = None, chances: Chances | None = None
+    problem: Problem,
+    timeout: float,
+    cancel: CancelToken | None = None,
+    seconds: Seconds | None = None,
+    chances: Chances | None = None,
+    at_work: Callable[[float], float] = lambda _: inf,
 ) -> Iterator[Policy]:
     """Return better and better policies: that reach the goal for certain, or else with the best chance that is found so far.
 
     Args:
         seconds: how long actions take, where policies are measured by that; by default, as long as the domain says.
         chances: how likely outcomes are; by default, as the domain says, and else all of an action as likely.
+        at_work: returns the seconds for which a policy that takes so many, and is certain, is improved.
 
     Raises `Unsuitable` if the problem has more than facts and numbers that only actions change.
     """
-    return _better(problem, policy_task(problem, seconds, chances), time.monotonic(), timeout, cancel)
+    return _better(problem, policy_task(problem, seconds, chances), time.monotonic(), timeout, cancel, at_work)
 
 
-def _better(problem: Problem, task: PolicyTask, began: float, timeout: float, cancel: CancelToken | None) -> Iterator[Policy]:
+def _better(
+    problem: Problem, task: PolicyTask, began: float, timeout: float, cancel: CancelToken | None, at_work: Callable[[float], float]
+) -> Iterator[Policy]:
     until, kairos = began + timeout, OutcomePlanner(problem, task)
     search = Search(task, kairos, began + timeout * _CERTAIN, cancel)
     with suppress(Interrupted):
-        if (yield from _certain(problem, search, until)):
+        if (yield from _certain(problem, search, until, at_work)):
             return
     if all(scale.is_exact for scale in task.scales):
         chances = Search(task, kairos, until, cancel)
@@ -312,14 +321,17 @@ def _better(problem: Problem, task: PolicyTask, began: float, timeout: float, ca
     search.until = until
     with suppress(Interrupted):
         if not search.is_over(until):
-            yield from _certain(problem, search, until)
+            yield from _certain(problem, search, until, at_work)
 
 
-def _certain(problem: Problem, search: Search, until: float) -> Generator[Policy, None, bool]:
+def _certain(problem: Problem, search: Search, until: float, at_work: Callable[[float], float]) -> Generator[Policy, None, bool]:
     """Yield better and better policies that reach the goal for certain; return whether there are any, in so far as there was time."""
     if not search.run(search.task.initial):
         return False
-    search.until = until
+    first = search.settled(search.task.initial)
+    assert first is not None, "the initial state is settled"
+    taken = first.distance if search.task.measure == OF_METRIC else first.expected
+    search.until = until = min(until, time.monotonic() + at_work(taken))
     is_exact = all(scale.is_exact for scale in search.task.scales)
     for _ in chain((None,), improve(search, until)):
         policy = _policy(problem, search)
