@@ -352,6 +352,10 @@ class PolicyNote:
     @staticmethod
     def of(policy: Policy | None) -> PolicyNote:
         """Return the note of a policy."""
+        from planner_bridge.planning.policies import policy as policies  # here, because most actions have one outcome
+
+        if isinstance(policy, policies.Thinking):
+            policy = policy.policy  # the best one so far, whatever is found meanwhile
         if policy is None:
             return PolicyNote()
         problem = replace(policy.problem, init={}, unknown=frozenset())

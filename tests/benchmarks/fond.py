@@ -12,7 +12,7 @@ where these are at most 20,000.
 `--replanner` asks a planner about the outcomes as actions to choose from, and again when another one happens: without policies.
 `--policy-only` makes a policy once and plays it alone, without machine and executor; where there is none, no goal is reached. What was
 found for a state is kept for all trials of a problem: the first action and the closed policy are those of the first trial. What is in the
-file of --json is not played again; the file is written every few seconds.
+file of --json is not played again; the file is written every few seconds, and with `--trials 0` it is only read.
 `--write` puts a summary of what was played, set by set, into docs/reference/benchmarks.md.
 """
 
@@ -118,7 +118,8 @@ def main() -> None:
     print(f"\n{table}")
     if options.write:
         before, rest = PAGE.read_text(encoding="utf-8").split(BEGIN)
-        told = f"{WAYS[way.way]}, {options.trials} trials of a problem, load {os.getloadavg()[0]:.1f} at the end"
+        counts = sorted({len(found["trials"]) for _, found in every.values()})
+        told = f"{WAYS[way.way]}, {' or '.join(map(str, counts))} trials of a problem"
         PAGE.write_text(f"{before}{BEGIN}\nMeasured: {told}.\n\n{table}\n\n{END}{rest.split(END)[1]}", encoding="utf-8")
 
 

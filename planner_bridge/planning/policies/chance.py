@@ -17,7 +17,7 @@ from typing import Final, NamedTuple
 from planner_bridge.planning.policies.dead_ends import DeadStates
 from planner_bridge.planning.policies.encoding import WAYS, OutOfTime
 from planner_bridge.planning.policies.search import SAME, BestWays, Search
-from planner_bridge.planning.policies.task import PartialState, PolicyAction
+from planner_bridge.planning.policies.task import LEAST_CHANCE, PartialState, PolicyAction
 
 MOST_STATES: Final = 20_000
 """States of an envelope at most."""
@@ -141,7 +141,7 @@ class Envelope:
                 fitting = [way for way in self.ways[state] if sum([p * risks[one] for one, p in way.after]) <= limit]
                 stays = [sum(p for one, p in way.after if one == state) for way in fitting]
                 others = [[pair for pair in way.after if pair[0] != state] for way in fitting]
-                good[state] = [(way.action, 1.0 - p, rest) for way, p, rest in zip(fitting, stays, others, strict=True)]
+                good[state] = [(way.action, max(1.0 - p, LEAST_CHANCE), rest) for way, p, rest in zip(fitting, stays, others, strict=True)]
 
         def cost(state: int) -> float:
             value = inf

@@ -45,7 +45,8 @@ class OutcomePlanner:
 
     def __init__(self, problem: Problem, task: PolicyTask) -> None:
         self._task, self._planner = task, kairos.Planner()  # type: ignore[no-untyped-call]
-        self.calls = 0
+        self.is_patient = False
+        """Whether all ways of searching get their seconds, however long others took."""
         self._actions = {(action.name, action.arguments): action for action in task.actions}
         domain, stand_for = determinized_domain(problem.domain, problem.members)
         numbers = {(name, way.name): number for name, ways in task.alternatives.items() for number, way in enumerate(ways)}
@@ -83,9 +84,8 @@ class OutcomePlanner:
         numbers = (f"(= {fluent_text(scale.fluent)} {Constant(scale.value(state))})" for scale in self._task.scales)
         facts = " ".join((*map(fluent_text, self._task.named(state)), *numbers))
         parsed = kairos.parse_problem(f"{self._before} {facts} {self._guarding}{self._after}", domain)
-        self.calls += 1
         status, began = None, time.monotonic()
-        until = min(until, began + max(_SHORT, _LONGER * self._longest)) if self._longest else until
+        until = min(until, began + max(_SHORT, _LONGER * self._longest)) if self._longest and not self.is_patient else until
         for way, seconds in ways:
             if status is kairos.Status.UNSOLVABLE and way != _OWN:
                 continue

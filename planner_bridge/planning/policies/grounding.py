@@ -39,6 +39,7 @@ from pnm.core.logic.effects import (
     changes,
     every_effect,
     has_outcomes,
+    is_early,
     names_written,
     outcomes,
 )
@@ -110,6 +111,14 @@ class _Grounding:
             "tasks and methods": problem.has_tasks,
             "derived facts about numbers that change": self.counted & self.rules.below,
             "objects for values that actions change": self.changing & functions.keys() & read - self.counted,
+            "durations that depend on what actions change": any(
+                not self.changing.isdisjoint(one[0] for one in expression_fluents(bound.bound))
+                for schema in problem.domain.actions.values()
+                for bound in schema.duration or ()
+            ),
+            "effects at the end that depend on what held before the start": any(
+                schema.start_effects and any(map(is_early, schema.end_effects)) for schema in problem.domain.actions.values()
+            ),
             "computed conditions": any(isinstance(part, Computed) for condition in conditions for part in every_part(condition)),
         }
         if present := [what for what, is_there in unsuitable.items() if is_there]:

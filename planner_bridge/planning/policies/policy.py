@@ -134,11 +134,13 @@ class Policy:
 
     def _plan(self, state: KnowledgeBase, is_whole: bool) -> Plan | None:
         steps: list[PlanStep] = []
+        used = set[int]()  # each one leads nearer; one that does not would do so for ever
         domain, is_timed, now = self.problem.domain, self.problem.is_timed, 0.0
         while evaluate(self.problem.goal, state) is not True:
             entry = self.entry(state)
-            if entry is None:
+            if entry is None or id(entry) in used:
                 return None
+            used.add(id(entry))
             duration = modelled_duration(domain.actions[entry.action], entry.arguments, state)
             action = ground_step(domain, entry.action, entry.arguments, duration, "", self.problem.members)
             begun = _after(action.start_effects, state)
@@ -203,6 +205,8 @@ class Thinking:
     ) -> None:
         self.problem = problem
         self.policies: tuple[Policy, ...] = ()
+        self.error: Exception | None = None
+        """What ended the search before its time, a fault of this program."""
         self._found, self._over = threading.Event(), threading.Event()
         stop = _Either(cancel)
         better = policies(problem, timeout, stop, seconds, chances, at_work)
@@ -221,6 +225,8 @@ class Thinking:
         """
         until = time.monotonic() + timeout
         self._found.wait(timeout)
+        if self.error is not None and not self.policies:
+            raise self.error
         if (found := self.policy) is not None and (improve is not None or not found.is_proved or found.measure != "calls"):
             if improve is None:
                 first = None if found.is_proved or found.measure == OF_METRIC else found.entry(initial_knowledge(self.problem))
@@ -266,13 +272,17 @@ class _Either:
 
 
 def _think(owner: weakref.ref[Thinking], better: Iterator[Policy], found: threading.Event, over: threading.Event) -> None:
-    for policy in better:
-        thinking = owner()
-        if thinking is None:
-            break
-        thinking.policies = policy, *thinking.policies
-        del thinking
-        found.set()
+    try:
+        for policy in better:
+            thinking = owner()
+            if thinking is None:
+                break
+            thinking.policies = policy, *thinking.policies
+            del thinking
+            found.set()
+    except Exception as error:  # told where a policy is waited for
+        if (thinking := owner()) is not None:
+            thinking.error = error
     over.set()
     found.set()
 
@@ -318,6 +328,10 @@ def _better(
         with suppress(Interrupted):
             for _ in take_chances(chances, until):
                 yield _policy(problem, chances)
+    if not search.dead.is_certain:  # a plan that was not found in time may be found in more
+        kairos.is_patient, known = True, search.entries
+        search = Search(task, kairos, until, cancel)
+        search.entries += known
     search.until = until
     with suppress(Interrupted):
         if not search.is_over(until):

@@ -41,6 +41,7 @@ from pnm.core.logic.expressions import (
     Value,
     ValueOf,
     bind,
+    fluent_text,
     is_number,
     value_of,
 )
@@ -138,11 +139,14 @@ def unproved(problem: Problem, rules: Sequence[PolicyRule], initial: KnowledgeBa
         for chosen in product(*(initial.objects(variable.types) for variable in declared[name].parameters)):
             always[name, *chosen] = UNKNOWN
 
+    if unknown := sorted(fluent_text(fluent) for fluent in problem.unknown if fluent[0] not in changing):
+        return f"it is unknown whether {unknown[0]}"
+
     def known(facts: Mapping[Fluent, Value | Unknown], numbers: Mapping[Fluent, Range]) -> _Ranges:
         constant = DerivedFacts(domain.rules, {**always, **facts}, initial.objects) if domain.rules else initial
         return _Ranges(facts, constant, changing, numbers)
 
-    facts = {fluent: bool(initial.value(fluent)) for fluent in index.mentioned}
+    facts = {fluent: UNKNOWN if fluent in problem.unknown else bool(initial.value(fluent)) for fluent in index.mentioned}
     mentioned = {*ends, *(fluent for rule in rules for fluent in rule.numbers)}
     numbers = {fluent: (value, value) for fluent in mentioned if is_number(value := initial.value(fluent))}
     first = known(facts, numbers)

@@ -27,7 +27,7 @@ from typing import Final, NamedTuple
 from planner_bridge.model.plan import CancelToken
 from planner_bridge.planning.policies.dead_ends import DeadStates
 from planner_bridge.planning.policies.encoding import OutcomePlanner, OutOfTime, Step
-from planner_bridge.planning.policies.task import ANY, PartialState, PolicyAction, PolicyOutcome, PolicyTask
+from planner_bridge.planning.policies.task import ANY, LEAST_CHANCE, PartialState, PolicyAction, PolicyOutcome, PolicyTask
 
 _EXACT: Final = 1e-6
 _CLOSE: Final = 1e-3
@@ -98,6 +98,8 @@ class Search:
         self._found: dict[int, tuple[SettledPart | None, int]] = {}
         """The best ones for states, among how many."""
         self._best = BestWays({}, {}, {})
+        self._followed = set[int]()
+        """States for which that was done."""
         self._lost = frozenset[int]()
         """States that are given up."""
         self._plans: list[KeptStep] = []
@@ -138,13 +140,13 @@ class Search:
 
     def follow(self, best: BestWays, state: int) -> None:
         """Make entries of what is best for all states that can be reached from this one, instead of plans of their own."""
-        self._chosen, self._best = dict(best.choice), best
+        self._chosen, self._best, self._followed = dict(best.choice), best, set()
         self.run(state)
 
     def _is_settled(self, state: int) -> bool:
         """Return whether there is an entry for the state, as good as is known to be possible."""
         entry = self.settled(state)
-        if entry is None or state not in self._best.choice:
+        if entry is None or state not in self._best.choice or state in self._followed:
             return entry is not None
         return entry.risk <= self._best.risks[state] + SAME and entry.expected <= self._best.costs[state] * (1.0 + _CLOSE)
 
@@ -416,7 +418,7 @@ class Search:
             for outcome in actions[state].outcomes:
                 chances[outcome.after(state)] += outcome.chance
             stays = chances.pop(state, 0.0)
-            rows.append((state, 1.0 - stays, [(after, chance) for after, chance in chances.items() if after in actions]))
+            rows.append((state, max(1.0 - stays, LEAST_CHANCE), [(after, chance) for after, chance in chances.items() if after in actions]))
         risk = {state: sum(outcome.chance * entry.risk for outcome, entry in ends[state]) for state in component}
         expected = {
             state: actions[state].cost + sum(outcome.chance * entry.expected for outcome, entry in ends[state]) for state in component
@@ -430,6 +432,7 @@ class Search:
             entry = SettledPart(its, expected[state], distance[state], need, len(self.entries), actions[state])
             if not self._has_as_good(entry):
                 self.entries.append(entry)
+        self._followed.update(component)
         return True
 
     def _has_as_good(self, entry: SettledPart) -> bool:

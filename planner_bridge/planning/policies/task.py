@@ -50,6 +50,8 @@ class PartialState(NamedTuple):
 
 ANY: Final = PartialState()
 """Every state."""
+LEAST_CHANCE: Final = 1e-12
+"""A chance that counts as so much at least, where it is divided by."""
 OF_METRIC: Final = "of the metric"
 """The measure of costs where the problem has a metric, in place of seconds or calls."""
 
@@ -305,7 +307,7 @@ class PolicyTask:
                     for key in keys[number]:
                         group = found.get(key, 0)
                         add, delete = change.add & group, change.delete & group
-                        if add == delete and not add & (add - 1):
+                        if add == delete and not add & (add - 1) and not add & ~always:
                             continue
                         moves = add.bit_count() == delete.bit_count() == 1 and delete & always
                         if not moves or change.condition != ANY:

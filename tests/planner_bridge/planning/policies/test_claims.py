@@ -1,0 +1,96 @@
+"""What no policy may claim, and that its search comes to an end."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import replace
+
+import pytest
+
+from planner_bridge.model.grounding import initial_knowledge
+from planner_bridge.model.problem import Problem
+from planner_bridge.pddl.reader import parse_domain, parse_problem
+from planner_bridge.planning.policies import policy as room
+from planner_bridge.planning.policies.policy import Policy, policies
+from planner_bridge.planning.policies.search import Search
+from planner_bridge.planning.policies.task import PolicyAction, PolicyTask, Unsuitable
+from planner_bridge.planning.solve import solve
+
+HEADER = "(:requirements :adl :durative-actions :fluents :non-deterministic :probabilistic-effects)"
+
+
+def problem(actions: str, init: str = "", goal: str = "(done)", declared: str = "(done)", functions: str = "(unused)") -> Problem:
+    domain = parse_domain(f"(define (domain d) {HEADER} (:predicates {declared}) (:functions {functions}) {actions})")
+    return parse_problem(f"(define (problem p) (:domain d) (:init {init}) (:goal {goal}))", domain)
+
+
+def test_an_effect_that_depends_on_what_the_start_changes_is_refused() -> None:
+    go = """(:durative-action go :parameters () :duration (= ?duration 1) :condition (at start (alive))
+      :effect (and %s (when (at start (not (warm))) (at end (not (alive)))) (at end (oneof (done) (and)))))"""
+    declared, goal = "(warm) (alive) (done)", "(and (done) (alive))"
+    with pytest.raises(Unsuitable, match="depend on what held before the start"):
+        policies(problem(go % "(at start (warm))", "(alive)", goal, declared), 10.0)
+    assert not any(policies(problem(go % "", "(alive)", goal, declared), 10.0)), "it is cold, so it is not alive at the end"
+    assert next(policies(problem(go % "", "(alive) (warm)", goal, declared), 10.0)).is_proved
+
+
+def test_a_duration_that_actions_change_is_refused() -> None:
+    actions = """(:durative-action brake :parameters () :duration (= ?duration 1) :condition (at start (not (slow)))
+        :effect (and (at end (slow)) (at end (assign (speed) 10))))
+      (:durative-action go :parameters () :duration (= ?duration (speed)) :condition (and (at start (slow)) (at start (>= (battery) 2)))
+        :effect (and (at end (decrease (battery) ?duration)) (at end (oneof (done) (and)))))"""
+    init, functions = "(= (battery) 4) (= (speed) 0)", "(battery) (speed)"
+    with pytest.raises(Unsuitable, match="durations that depend on what actions change"):
+        policies(problem(actions, init, "(and (done) (>= (battery) 2))", "(slow) (done)", functions), 10.0)
+
+
+@pytest.mark.parametrize("more", ["", "(:action set :parameters () :precondition (done) :effect (trap))"], ids=["never changes", "changes"])
+def test_nothing_is_proved_of_a_state_of_which_facts_are_unknown(more: str) -> None:
+    go = "(:action go :parameters () :precondition (not (trap)) :effect (oneof (done) (and)))"
+    known = problem(go + more, declared="(trap) (done)")
+    assert next(policies(known, 10.0)).is_proved
+    assert not any(found.is_proved for found in policies(replace(known, unknown=frozenset({("trap",)})), 10.0))
+
+
+def test_an_outcome_that_hardly_ever_comes_about_is_no_division_by_zero() -> None:
+    go = "(:action go :parameters () :precondition (not (done)) :effect (probabilistic 1e-17 (done) 1.0 (and)))"
+    assert [*policies(problem(go), 10.0)][-1].chance == 1.0
+
+
+def test_a_stretch_that_leads_nowhere_comes_to_an_end() -> None:
+    go = "(:action go :parameters () :effect (oneof (done) (and)))"
+    turning = problem(f"(:action turn :parameters () :effect (turned)) {go}", declared="(done) (turned)")
+    endless = Policy(turning, (room.PolicyEntry({}, "turn", (), 1.0, 1.0, 1.0),))
+    assert endless.plan(initial_knowledge(turning)) is None
+
+
+def test_a_fault_of_the_search_is_told_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    def failing(given: Problem, task: PolicyTask, *others: object) -> Iterator[Policy]:
+        raise ZeroDivisionError("of the search")
+        yield Policy(given, ())
+
+    monkeypatch.setattr(room, "_better", failing)
+    with pytest.raises(ZeroDivisionError, match="of the search"):
+        solve(problem("(:action go :parameters () :effect (oneof (done) (and)))"), timeout=1e6)
+
+
+def test_states_are_given_an_action_once_where_values_come_near_slowly(monkeypatch: pytest.MonkeyPatch) -> None:
+    last, chance = 8, 0.01
+    steps = "".join(
+        f"(:action step{at} :precondition (at{at}) :effect (and (not (at{at})) (at{at + 1}) (oneof (side) (not (side)))))"
+        for at in range(last)
+    )
+    again = f"""(:action try :precondition (and (at{last}) (not (tired))) :effect (and (tired) (probabilistic {chance} (done))))
+      (:action rest :precondition (and (at{last}) (tired)) :effect (not (tired)))"""
+    declared = "".join(f"(at{at})" for at in range(last + 1))
+    slow = problem(steps + again, "(at0)", declared=f"{declared} (side) (tired) (done)")
+    asked, action_of = Counter[int](), Search._action
+
+    def counted(self: Search, state: int) -> PolicyAction | None:
+        asked[state] += 1
+        return action_of(self, state)
+
+    monkeypatch.setattr(Search, "_action", counted)
+    assert [*policies(slow, 60.0)][-1].is_proved
+    assert max(asked.values()) <= 8
