@@ -101,7 +101,7 @@ def solve(
         if problem.has_tasks:
             message = "task networks with actions that have several outcomes"
             return PlanningResult(PlanningStatus.UNSUPPORTED, message=message, planner=planner)
-        from planner_bridge.model.determinization import determinization  # here and below, because most actions have one outcome
+        from planner_bridge.model.determinization import determinization, untold  # here and below, because most actions have one outcome
 
         note = ""
         if planner == DEFAULT_PLANNER:
@@ -119,7 +119,12 @@ def solve(
                 thinking = Thinking(problem, timeout, cancel, seconds, chances, at_work)
                 policy = thinking.wait(began + _FOR_POLICIES * timeout - time.monotonic(), improve, worth)
                 if policy is not None and (plan := policy.plan(initial_knowledge(problem))) is not None:
-                    return PlanningResult(PlanningStatus.SOLVED, plan, planner=planner, policy=thinking)
+                    unseen = untold(problem, bindings, bindings.assumed) if bindings else ()
+                    notes = [
+                        f"nothing tells {' and '.join(ways)} of {action} apart: there the policy may not go on"
+                        for action, ways, _ in unseen
+                    ]
+                    return PlanningResult(PlanningStatus.SOLVED, plan, "; ".join(notes), planner=planner, policy=thinking)
                 del thinking  # which ends its search
                 note = "no policy was found in time"
             except Unsuitable as unsuitable:

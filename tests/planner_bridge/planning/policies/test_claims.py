@@ -16,6 +16,7 @@ from planner_bridge.planning.policies.policy import Policy, policies
 from planner_bridge.planning.policies.search import Search
 from planner_bridge.planning.policies.task import PolicyAction, PolicyTask, Unsuitable
 from planner_bridge.planning.solve import solve
+from pnm.core.machine.bindings import Bindings
 
 HEADER = "(:requirements :adl :durative-actions :fluents :non-deterministic :probabilistic-effects)"
 
@@ -94,3 +95,10 @@ def test_states_are_given_an_action_once_where_values_come_near_slowly(monkeypat
     monkeypatch.setattr(Search, "_action", counted)
     assert [*policies(slow, 60.0)][-1].is_proved
     assert max(asked.values()) <= 8
+
+
+def test_what_the_proof_assumes_to_be_seen_is_said_where_nothing_sees_it() -> None:
+    go = problem("(:action go :parameters () :effect (oneof (done) (and)))")
+    assert solve(go, improve=0.0, bindings=Bindings()).message == ""
+    unseen = solve(go, improve=0.0, bindings=Bindings(assumed=frozenset({"done"})))
+    assert unseen.message == "nothing tells 1 and 2 of go apart: there the policy may not go on"
