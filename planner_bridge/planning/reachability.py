@@ -20,18 +20,7 @@ from typing import Final, NamedTuple, TypeAlias, cast
 from planner_bridge.model.grounding import dynamic_names, initial_knowledge
 from planner_bridge.model.problem import TOTAL_COST, Problem
 from planner_bridge.planning.normal_form import Assignment, schema_assignments
-from pnm.core.logic.conditions import (
-    All,
-    Compare,
-    Condition,
-    Holds,
-    Not,
-    conjuncts,
-    evaluate,
-    fluents,
-    ground,
-    parts_of,
-)
+from pnm.core.logic.conditions import All, Compare, Condition, Holds, Not, conjuncts, evaluate, fluents, ground, parts_of
 from pnm.core.logic.domain import ActionSchema
 from pnm.core.logic.expressions import (
     DURATION,

@@ -28,17 +28,7 @@ from pnm.core.logic.conditions import TRUE
 from pnm.core.machine.failure_causes import Cause
 from pnm.core.machine.generate import generate
 from pnm.core.machine.machine import PetriNetMachine
-from pnm.core.machine.plan_graph import (
-    ActionCall,
-    Flow,
-    GroundAction,
-    Moment,
-    Ordering,
-    PlanEvent,
-    PlanGraph,
-    Recovery,
-    Then,
-)
+from pnm.core.machine.plan_graph import ActionCall, Flow, GroundAction, Moment, Ordering, PlanEvent, PlanGraph, Recovery, Then
 from pnm.core.machine.requests import Accepted, Ended, Outcome, OutcomeKind
 from pnm.core.machine.verification.verify import forget_proofs, verify
 from pnm.language.plan import read_plans

@@ -19,9 +19,7 @@ from pnm.core.execution.questions import EvaluationContext, unknown_values
 from pnm.core.knowledge_base import KnowledgeBase, parse_fluent
 from pnm.core.logic import conditions
 from pnm.core.logic.compiled import CompiledCondition, compiled
-from pnm.core.logic.computed_values import (
-    may_ask,
-)
+from pnm.core.logic.computed_values import may_ask
 from pnm.core.logic.conditions import fluents, names
 from pnm.core.logic.effects import (
     Changes,

@@ -34,13 +34,7 @@ from pnm.core.logic.conditions import (
     names,
     polarities,
 )
-from pnm.core.logic.expressions import (
-    EXISTS,
-    Fluent,
-    Variable,
-    expression_fluents,
-    variables_in,
-)
+from pnm.core.logic.expressions import EXISTS, Fluent, Variable, expression_fluents, variables_in
 from pnm.errors import PnmError
 
 

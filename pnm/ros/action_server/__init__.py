@@ -5,10 +5,6 @@ from typing import TYPE_CHECKING
 from pnm.files.lazy_exports import lazy_exports
 
 if TYPE_CHECKING:
-    from pnm.ros.action_server.python_server import (
-        LIMIT as LIMIT,
-        KnowledgeError as KnowledgeError,
-        PnmActionServer as PnmActionServer,
-    )
+    from pnm.ros.action_server.python_server import LIMIT as LIMIT, KnowledgeError as KnowledgeError, PnmActionServer as PnmActionServer
 else:
     __all__, __getattr__, __dir__ = lazy_exports(__name__, __file__)

@@ -17,18 +17,7 @@ from planner_bridge.model.problem import Problem
 from planner_bridge.model.rates import Call, Counts, End, Rates, Times
 from planner_bridge.ordering.plan_to_graph import plan_graph
 from planner_bridge.pddl import parse_domain, parse_problem
-from planner_bridge.pipeline.odds import (
-    AttemptEnd,
-    AttemptOdds,
-    CallOdds,
-    Leads,
-    Odds,
-    declared,
-    exact,
-    learned,
-    odds_of_calls,
-    played,
-)
+from planner_bridge.pipeline.odds import AttemptEnd, AttemptOdds, CallOdds, Leads, Odds, declared, exact, learned, odds_of_calls, played
 from planner_bridge.pipeline.roll_outs import odds_of_goal
 from planner_bridge.planning.solve import solve
 from planner_bridge.tasks.replanning import Limits

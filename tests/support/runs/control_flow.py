@@ -7,19 +7,7 @@ from dataclasses import replace
 from pnm.core.logic.computed_values import Data, Layer, Literal, Operation, Query, Update
 from pnm.core.logic.conditions import Computed, Condition, Holds
 from pnm.core.machine.failure_causes import Cause
-from pnm.core.machine.plan_graph import (
-    EMPTY,
-    ActionCall,
-    Choice,
-    Flow,
-    GroundAction,
-    Junction,
-    Loop,
-    Recovery,
-    Step,
-    Then,
-    WaitUntil,
-)
+from pnm.core.machine.plan_graph import EMPTY, ActionCall, Choice, Flow, GroundAction, Junction, Loop, Recovery, Step, Then, WaitUntil
 from tests.support.runs.plan_graphs import ordering, plan_of_steps
 
 OK: Condition = Holds(("ok",))

@@ -9,21 +9,7 @@ from hypothesis import given, strategies as st
 
 from pnm.core.knowledge_base import KnowledgeBase, parse_fluent, parse_statement, statement_text
 from pnm.core.logic.compiled import compiled
-from pnm.core.logic.conditions import (
-    TRUE,
-    All,
-    Any,
-    Condition,
-    Exists,
-    ForAll,
-    Holds,
-    Implies,
-    Not,
-    evaluate,
-    fluents,
-    ground,
-    names,
-)
+from pnm.core.logic.conditions import TRUE, All, Any, Condition, Exists, ForAll, Holds, Implies, Not, evaluate, fluents, ground, names
 from pnm.core.logic.expressions import UNKNOWN, Environment, Fluent, Truth, Unknown, Value, Variable, choices
 from pnm.errors import InputError
 from tests.support.logic.rules import ALL_FACTS, ALL_NUMBERS, BASE, FACTS, OBJECTS, known, stratified_conditions

@@ -31,16 +31,7 @@ from pnm.core.machine.guards import (
     Withheld,
 )
 from pnm.core.machine.machine import OnFailure
-from pnm.core.machine.plan_graph import (
-    EMPTY,
-    ActionCall,
-    Flow,
-    GroundAction,
-    PlanGraph,
-    PlanGraphError,
-    Recovery,
-    Then,
-)
+from pnm.core.machine.plan_graph import EMPTY, ActionCall, Flow, GroundAction, PlanGraph, PlanGraphError, Recovery, Then
 from pnm.core.machine.requests import OutcomeKind, TransitionAction
 from pnm.core.machine.verification.explore import explore_part
 from pnm.core.machine.verification.part import Part, PartStep, Unsound, shape_of
