@@ -127,13 +127,7 @@ def failures_of(kind: str, numbers: range, jobs: int, keep: Path | None) -> Iter
 def main() -> int:
     """Return 1 if anything was wrong."""
     parser = argparse.ArgumentParser(prog="python -m tests.random_runs", description=__doc__.partition("\n")[0])
-    parser.add_argument(
-        "kinds",
-        nargs="*",
-        choices=[*KINDS, []],
-        metavar="KIND",
-        help=f"{', '.join(KINDS)}; all without one",
-    )
+    parser.add_argument("kinds", nargs="*", choices=[*KINDS, []], metavar="KIND", help=f"{', '.join(KINDS)}; all without one")
     parser.add_argument("--seeds", type=int, default=500, help="how many of each; visitors are a tenth if not alone")
     parser.add_argument("--first", type=int, default=0, help="the number of the first one")
     parser.add_argument("--jobs", type=int, default=2, help="how many are run at the same time")

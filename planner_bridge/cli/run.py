@@ -38,8 +38,7 @@ if TYPE_CHECKING:
 
 
 @click.command(
-    cls=options.ViewingCommand,
-    epilog="Examples: pnm run domain.pddl problem.pddl --actions ros2; pnm run --plan tea.yaml --set guest=Ada",
+    cls=options.ViewingCommand, epilog="Examples: pnm run domain.pddl problem.pddl --actions ros2; pnm run --plan tea.yaml --set guest=Ada"
 )
 @options.files_or_plan
 @options.set_option

@@ -78,9 +78,7 @@ class Options:
     max_tasks: int = parameter(8, "how many tasks are planned for and carried out at a time", least=1)
     max_queue: int = parameter(100, "how many more tasks may wait; others are refused")
     on_failure: OnFailure = parameter(
-        "continue_others",
-        "treatment of running actions after a failure in their task",
-        choices=tuple(policy.value for policy in OnFailure),
+        "continue_others", "treatment of running actions after a failure in their task", choices=tuple(policy.value for policy in OnFailure)
     )
     on_change: OnChange = parameter(
         "eager",

@@ -88,13 +88,7 @@ def used_up(domain: Domain) -> frozenset[str]:
 
 
 def odds_of_plan(
-    file: Path,
-    name: str | None,
-    parameters: Mapping[str, object],
-    settings: Settings,
-    faults: Faults,
-    *,
-    seconds: float = SECONDS,
+    file: Path, name: str | None, parameters: Mapping[str, object], settings: Settings, faults: Faults, *, seconds: float = SECONDS
 ) -> GoalOdds:
     """Return the odds of a hand-written plan; people who are asked something do not answer. The rest is as in `odds_of_goal`."""
     plans = read_plans(file)

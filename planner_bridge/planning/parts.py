@@ -62,10 +62,7 @@ def _that_names_arguments(domain: Domain) -> tuple[Domain, dict[str, tuple[str, 
 
 
 def better_parts(
-    problem: Problem,
-    plan: Plan,
-    solve: Callable[[Problem, Sequence[PlanStep], float | None], Plan | None],
-    take: Callable[[Plan], bool],
+    problem: Problem, plan: Plan, solve: Callable[[Problem, Sequence[PlanStep], float | None], Plan | None], take: Callable[[Plan], bool]
 ) -> Iterator[bool]:
     """Replace parts of a plan by better ones: yield True after each part that was tried, the longest of which is all but the whole.
 

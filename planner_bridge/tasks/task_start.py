@@ -64,10 +64,7 @@ def read_text(wanted: Wanted, read_goal: Callable[[str], Condition], loaded: Col
 
 
 def start_of(
-    task: Task,
-    text: TaskText,
-    context: Callable[[Condition, ReplayedTask | None, OnChange | None], TaskContext],
-    kept: ReplayedTask | None,
+    task: Task, text: TaskText, context: Callable[[Condition, ReplayedTask | None, OnChange | None], TaskContext], kept: ReplayedTask | None
 ) -> StartTask:
     """Return the executor of a task with this text; raise an `InputError` if there is no such plan, or it has no such parameter.
 

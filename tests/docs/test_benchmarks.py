@@ -52,8 +52,7 @@ def test_all_have_their_turn_in_every_round_and_who_cannot_take_part_is_asked_on
 
 
 @pytest.mark.parametrize(
-    ("rival", "says"),
-    [((5.0,), "- A call, 10 calls: ours 2.0 × UP-ESB\n"), ((20.0,), "Nowhere.\n"), ((), "Nowhere.\n")],
+    ("rival", "says"), [((5.0,), "- A call, 10 calls: ours 2.0 × UP-ESB\n"), ((20.0,), "Nowhere.\n"), ((), "Nowhere.\n")]
 )
 def test_the_page_says_where_a_rival_is_faster_but_not_where_something_does_less(rival: tuple[float, ...], says: str) -> None:
     part = measured_part([taken((10.0,), rival)], {"cpu": "a processor", "cores": 2, "python": "3", "load": 0.5}, {}, 3)

@@ -53,11 +53,7 @@ class OutcomePlanner:
         self._of = {name: (action, numbers[action, way]) for name in domain.actions for action, way in [stand_for.get(name, (name, ""))]}
         self._guards = {name: unused_name(f"only-copies--{name}", domain) for name in problem.domain.actions}
         self._domain = replace(
-            domain,
-            requirements=tuple(dict.fromkeys((*domain.requirements, ":adl"))),
-            constants=problem.objects,
-            hierarchy=(),
-            borrowed={},
+            domain, requirements=tuple(dict.fromkeys((*domain.requirements, ":adl"))), constants=problem.objects, hierarchy=(), borrowed={}
         )
         self._names = SpelledNames(replace(problem, domain=self._domain, own_objects={}))
         changing = frozenset[object](task.facts).union(scale.fluent for scale in task.scales)

@@ -113,10 +113,7 @@ def test_goals_are_carried_out_once_by_the_parts_that_have_their_robots_while_no
     assert not [pair for pair in both if len({action.partition("(")[2].partition(",")[0] for action in pair}) == 1]
     assert not [pair for pair in both if all(action.startswith("cross") for action in pair)]
     assert {event.get("outcome", "succeeded") for event in events} == {"succeeded"}
-    assert [{task["goal"] for task in parts.history(part)} for part in (1, 2)] == [
-        {"(at r1 d)", "(at r3 d)"},
-        {"(at r2 d)", "(at r4 d)"},
-    ]
+    assert [{task["goal"] for task in parts.history(part)} for part in (1, 2)] == [{"(at r1 d)", "(at r3 d)"}, {"(at r2 d)", "(at r4 d)"}]
 
 
 def test_a_goal_about_no_robot_is_carried_out_by_one_part_and_any_is_cancelled_where_it_came_in(parts: Parts) -> None:

@@ -13,17 +13,13 @@ BOTH = "robots/domain.pddl robots/problem.pddl"
 
 FILES = {
     "the folder is misspelt": Mistake(
-        "plan robot/domain.pddl robots/problem.pddl",
-        2,
-        ("robot/domain.pddl: there is no such file; did you mean 'robots/domain.pddl'?",),
+        "plan robot/domain.pddl robots/problem.pddl", 2, ("robot/domain.pddl: there is no such file; did you mean 'robots/domain.pddl'?",)
     ),
     "the file of an option is misspelt": Mistake(f"run {BOTH} --bindings bindings.yml", 2, ("bindings.yml: there is no such file\n",)),
     "the file of the plan is misspelt": Mistake("run --plan tee.yaml", 2, ("tee.yaml: there is no such file; did you mean 'tea.yaml'?",)),
     "a folder for the file of an option": Mistake(f"run {BOTH} --faults robots", 2, ("robots: this is a folder; expected a file",)),
     "YAML for PDDL": Mistake(
-        "plan tea.yaml tea.yaml",
-        2,
-        ("tea.yaml:1:1: expected (define (domain NAME) ...), found 'actions:'", "this is YAML: `pnm import`"),
+        "plan tea.yaml tea.yaml", 2, ("tea.yaml:1:1: expected (define (domain NAME) ...), found 'actions:'", "this is YAML: `pnm import`")
     ),
     "a folder with a domain for the output of an import": Mistake(
         "import kitchen.yaml -o robots",

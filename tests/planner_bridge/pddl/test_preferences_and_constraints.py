@@ -31,11 +31,7 @@ def told(preference: Preference) -> str:
             "(and (idle) (forall (?l - room) (dirty ?l)))",
             ["p ?l - room ?r - robot (at ?r ?l)"],
         ),
-        (
-            "(forall (?l - room) (forall (?l - closet) (preference p (dirty ?l))))",
-            "(and)",
-            ["p ?l - room ?l - closet (dirty ?l)"],
-        ),
+        ("(forall (?l - room) (forall (?l - closet) (preference p (dirty ?l))))", "(and)", ["p ?l - room ?l - closet (dirty ?l)"]),
         ("(forall (?l - room) (and))", "(forall (?l - room) (and))", []),
         ("(and (or (idle) (busy)) (preference p (imply (idle) (busy))))", "(or (idle) (busy))", ["p (imply (idle) (busy))"]),
     ],

@@ -51,11 +51,7 @@ NEEDED = {
 """Parts of domains, and the requirements of each: the one that is missing is the first."""
 FORMULAS = {":disjunctive-preconditions", ":negative-preconditions", ":equality", ":conditional-effects", ":typing"}
 QUANTIFIED = {":universal-preconditions", ":existential-preconditions"}
-IMPLIED = {
-    ":adl": FORMULAS | QUANTIFIED,
-    ":fluents": {":numeric-fluents", ":object-fluents"},
-    ":quantified-preconditions": QUANTIFIED,
-}
+IMPLIED = {":adl": FORMULAS | QUANTIFIED, ":fluents": {":numeric-fluents", ":object-fluents"}, ":quantified-preconditions": QUANTIFIED}
 
 
 def needed(text: str, *words: str) -> list[str]:

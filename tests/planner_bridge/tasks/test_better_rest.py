@@ -63,12 +63,7 @@ class FirstPlan(Memory):
 
 
 def carried_out(
-    problem: Problem = HOUSE,
-    plan: Plan = plan_of(ONE_BY_ONE),
-    *,
-    improve: float | None = 0.2,
-    faults: Faults = NO_FAULTS,
-    **chosen: object,
+    problem: Problem = HOUSE, plan: Plan = plan_of(ONE_BY_ONE), *, improve: float | None = 0.2, faults: Faults = NO_FAULTS, **chosen: object
 ) -> TaskResult:
     settings = Settings(improve=improve, bindings=BINDINGS, memory=FirstPlan(plan))
     result, _ = pursued(problem, faults, replace(settings, **chosen))  # type: ignore[arg-type]

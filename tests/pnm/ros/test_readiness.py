@@ -135,12 +135,7 @@ def test_a_server_has_one_type(tmp_path: Path) -> None:
     assert rows["count /measure"].advice.startswith(expected)
     with pytest.raises(InputError, match=r"bindings.yaml:2:10: [^\n]*\n[^\n]*bindings.yaml:3:12: "):
         refuse_unfit(rows.values())
-    rows = actions(
-        tmp_path,
-        "count: {server: measure, goal: {nested_field: {int32_value: 1.5}}}",
-        OTHER,
-        graph=NOTHING,
-    )
+    rows = actions(tmp_path, "count: {server: measure, goal: {nested_field: {int32_value: 1.5}}}", OTHER, graph=NOTHING)
     assert (rows["count /measure"].state, rows["count /measure"].type) == (ReadyState.UNFIT, NESTED)
 
 
@@ -189,10 +184,7 @@ def test_sensors_are_heard_silent_or_not_there(tmp_path: Path) -> None:
             "{topic: /lamp, type: test_msgs/msg/Strings, facts: [{fact: (lit)}]}",
             f"/lamp has the type {BASIC}, the sensor says test_msgs/msg/Strings",
         ),
-        (
-            "{topic: /lamp, facts: [{fact: (lit), field: bool_valu}]}",
-            "has no field 'bool_valu'; did you mean 'bool_value'?",
-        ),
+        ("{topic: /lamp, facts: [{fact: (lit), field: bool_valu}]}", "has no field 'bool_valu'; did you mean 'bool_value'?"),
         ("{topic: /lamp, facts: [{number: (level), field: percentage}]}", "BasicTypes has no field 'percentage'; it has bool_value, byte"),
         ("{topic: /lamp, facts: [{number: (level), field: bool_value}]}", "bool_value is a boolean; expected a number, or a table"),
         ("{topic: /lamp, facts: [{object: (home r2), field: int8_value}]}", "int8_value is a int8; expected a text, or a table"),

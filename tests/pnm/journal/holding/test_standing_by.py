@@ -118,10 +118,7 @@ def test_a_process_that_has_another_world_does_not_stand_by(place: Place) -> Non
 
 
 def test_a_place_that_cannot_be_used_is_an_error_at_once(tmp_path: Path) -> None:
-    for place, what in (
-        (tmp_path, "it cannot be a journal"),
-        (place_of("postgresql://127.0.0.1:1/none"), "refused"),
-    ):
+    for place, what in ((tmp_path, "it cannot be a journal"), (place_of("postgresql://127.0.0.1:1/none"), "refused")):
         with pytest.raises(InputError, match=what):
             run_async(stand_by(JournalChoice(place), TASKS, "here", pytest.fail))
 

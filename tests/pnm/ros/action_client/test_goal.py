@@ -114,10 +114,7 @@ def pose(x: float) -> PoseStamped:
             RunPlan.Feedback(running=["move(r1)"], feedback=["progress 1"], ended=3),
             "running [move(r1)], feedback [progress 1], ended 3, restarts 0",
         ),
-        (
-            NestedMessage.Feedback(nested_different_pkg=Duration(sec=3, nanosec=250_000_000)),
-            "nested_different_pkg 3.2 s",
-        ),
+        (NestedMessage.Feedback(nested_different_pkg=Duration(sec=3, nanosec=250_000_000)), "nested_different_pkg 3.2 s"),
         (pose(1.23456), "pose.position.x 1.235, pose.position.y 0, pose.position.z 0"),
         (PolygonStamped(), ""),
         (Nested(basic_types_value=BasicTypes(byte_value=b"\x05")), "basic_types_value.bool_value false, basic_types_value.byte_value 5"),

@@ -64,10 +64,7 @@ async def test_a_goal_that_is_never_taken_up_ends_when_its_server_does_not_know_
     client = connect(act=Binding(server=name, accept=1.0), patient=Binding(server=name))
     await client.send("patient", action="succeed").ended()  # the first contact may take longer than the limit
     outcome = await client.send("act", action="hesitate", arguments=["30"]).ended()
-    assert (outcome.kind, outcome.message) == (
-        OutcomeKind.UNAVAILABLE,
-        f"/{name} did not answer within 1 s, and does not know the goal",
-    )
+    assert (outcome.kind, outcome.message) == (OutcomeKind.UNAVAILABLE, f"/{name} did not answer within 1 s, and does not know the goal")
 
 
 async def test_a_restarted_server_is_noticed_quickly_and_used_again(connect, start):

@@ -133,21 +133,13 @@ MISTAKES: Final = (
     Mistake(
         "a call between two attempts counts as under way while its run is held",
         (
-            Change(
-                "pnm/core/machine/call_block.py",
-                'again = Rule("retry", outcome=CallOutcome.SUSPENDED)',
-                'again = Rule("retry")',
-            ),
+            Change("pnm/core/machine/call_block.py", 'again = Rule("retry", outcome=CallOutcome.SUSPENDED)', 'again = Rule("retry")'),
             Change(
                 "pnm/executor.py",
                 "return len(self.run.open_requests) == len(self.run.under_way()) and not self.run.settling",
                 "return not (self.run.settling or any(call.kind.value == 'running' for call in self.run.interim_result().calls))",
             ),
-            Change(
-                "pnm/executor.py",
-                "            if self.paused and not self.run.looks_for_effects:\n                return False\n",
-                "",
-            ),
+            Change("pnm/executor.py", "            if self.paused and not self.run.looks_for_effects:\n                return False\n", ""),
         ),
         "every_task_ends",
         80,

@@ -23,12 +23,7 @@ _EVERY: Final = 7
 
 _ROS: Final = (
     *("rclpy", "rclpy.action", "rclpy.executors", "pnm_interfaces.action", "pnm_interfaces.msg", "pnm_interfaces.srv", "std_msgs.msg"),
-    *(
-        "pnm.ros.node.ros_thread",
-        "pnm.ros.node.lifecycle",
-        "pnm.ros.tasks.task_node",
-        "pnm.ros.tasks.executor_topics",
-    ),
+    *("pnm.ros.node.ros_thread", "pnm.ros.node.lifecycle", "pnm.ros.tasks.task_node", "pnm.ros.tasks.executor_topics"),
     *("pnm.ros.node_client", "pnm.ros.action_client.action_services", "planner_bridge.cli.running_node", "planner_bridge.cli.running_node"),
 )
 """What a node loads besides, and loads late."""
