@@ -97,13 +97,16 @@ def dynamic_names(problem: ProblemModel) -> frozenset[str]:
     return frozenset().union(*actions, *timed)
 
 
-def conditions_of(problem: ProblemModel) -> Iterator[Condition]:
-    """Yield the goal, and the conditions of all actions and of their effects."""
+def conditions_of(problem: Problem) -> Iterator[Condition]:
+    """Yield every condition that decides about the validity of a plan."""
     yield problem.goal
-    for schema in problem.domain.actions.values():
+    yield from (rule.condition for rule in problem.domain.rules)
+    for schema in problem.domain.schemas:
         yield from (schema.precondition, schema.invariant, schema.end_condition)
         effects = every_effect((*schema.start_effects, *schema.end_effects))
         yield from (effect.condition for effect in effects if isinstance(effect, When))
+    for constraint in (*problem.domain.constraints, *problem.constraints):
+        yield from constraint.conditions
 
 
 def problem_now(problem: Problem, knowledge: KnowledgeBase, elapsed: float = 0.0) -> Problem:

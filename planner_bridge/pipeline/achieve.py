@@ -63,9 +63,7 @@ def achieve(
     Raises:
         InputError: an input is wrong; nothing was started.
     """
-    with suppress(RuntimeError):
-        asyncio.get_running_loop()
-        raise InputError("an event loop is running here: `await planner_bridge.achieve_async(...)` in place of achieve")
+    _check_no_loop_runs("`await planner_bridge.achieve_async(...)` in place of achieve")
     handle = _goal_handle(domain, problem, actions, faults, settings, observer, stopwatch or Stopwatch(), journal)
     return run_async(handle.run(), virtual=actions == "simulated")
 
@@ -91,6 +89,12 @@ def achieve_async(
     except RuntimeError as error:
         raise InputError("no event loop is running here: call `achieve`, which has one of its own") from error
     return _goal_handle(domain, problem, actions, faults, settings, observer, Stopwatch()).begin()
+
+
+def _check_no_loop_runs(instead: str) -> None:
+    with suppress(RuntimeError):
+        asyncio.get_running_loop()
+        raise InputError(f"an event loop is running here: {instead}")
 
 
 def _goal_handle(
@@ -216,9 +220,7 @@ def carry_out(
     Raises:
         InputError: an input is wrong; nothing was started.
     """
-    with suppress(RuntimeError):
-        asyncio.get_running_loop()
-        raise InputError("an event loop is running here, and this needs one of its own: call it by `await asyncio.to_thread(...)`")
+    _check_no_loop_runs("call carry_out by `await asyncio.to_thread(...)`")
     settings, observer, stopwatch = settings or Settings(), observer or TaskObserver(), Stopwatch()
     check_kinds("carry_out", {"settings": (settings, Settings), "observer": (observer, TaskObserver), "faults": (faults, Faults)})
     with stopwatch.of("parse"):

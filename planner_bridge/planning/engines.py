@@ -22,10 +22,11 @@ from operator import attrgetter
 from pathlib import Path
 from typing import Any, Final
 
+from planner_bridge.model.grounding import conditions_of
 from planner_bridge.model.plan import CancelToken, Plan, PlanningResult, PlanningStatus, SpelledNames
 from planner_bridge.model.problem import Problem
 from planner_bridge.pddl.writer import write_domain, write_problem
-from planner_bridge.planning.normal_form import action_assignments, conditions_of, functions_in_use, is_whole
+from planner_bridge.planning.normal_form import action_assignments, functions_in_use, is_whole
 from pnm.core.logic.conditions import Exists, ForAll, every_part
 from pnm.errors import InputError
 from pnm.files.process import own_environment, own_python
@@ -52,14 +53,15 @@ def problem_kind(problem: Problem) -> frozenset[Feature]:
     problem = replace(problem, metric=None)
     domain = problem.domain
     used = functions_in_use(problem)
-    parts = (part for condition in conditions_of(problem) for part in every_part(condition))
-    relevant = (change for change in action_assignments(domain) if change.fluent[0] in domain.predicates or change.fluent[0] in used)
+    changes = action_assignments(domain)
+    conditions = (*conditions_of(problem), *(change.condition for change in changes))
+    relevant = (change for change in changes if change.fluent[0] in domain.predicates or change.fluent[0] in used)
     present = {
         Feature.TIME: problem.is_timed,
         Feature.NUMBERS: any(not domain.functions[name].values for name in used),
         Feature.FRACTIONS: not is_whole(problem, used),
         Feature.OBJECT_FLUENTS: any(domain.functions[name].values for name in used),
-        Feature.QUANTIFIERS: any(isinstance(part, ForAll | Exists) for part in parts),
+        Feature.QUANTIFIERS: any(isinstance(part, ForAll | Exists) for one in conditions for part in every_part(one)),
         Feature.CONDITIONAL_EFFECTS: not all(change.is_plain for change in relevant),
         Feature.DERIVED: bool(domain.rules),
         Feature.CONSTRAINTS: bool(domain.constraints or problem.constraints),

@@ -13,6 +13,7 @@ from decimal import Decimal
 from itertools import chain, count
 from typing import Any, Final, assert_never
 
+from planner_bridge.model.grounding import conditions_of
 from planner_bridge.model.problem import Domain, Metric, Problem, once_per_domain
 from pnm.core.logic.conditions import TRUE, All, Compare, Condition, Exists, Holds, Not, conjuncts, every_part, ground, names
 from pnm.core.logic.domain import ActionSchema, DurationConstraint
@@ -175,17 +176,6 @@ def _is_whole(expression: Expression) -> bool:
             return operation != "/" and all(map(_is_whole, operands))
         case _:
             return True
-
-
-def conditions_of(problem: Problem) -> Iterator[Condition]:
-    """Yield every condition that decides about the validity of a plan."""
-    yield problem.goal
-    yield from (rule.condition for rule in problem.domain.rules)
-    for schema in problem.domain.schemas:
-        yield from (schema.precondition, schema.invariant, schema.end_condition)
-    yield from (change.condition for change in action_assignments(problem.domain))
-    for constraint in (*problem.domain.constraints, *problem.constraints):
-        yield from constraint.conditions
 
 
 def _duration_bounds(problem: Problem) -> Iterator[Expression]:

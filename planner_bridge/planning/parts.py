@@ -16,13 +16,12 @@ from dataclasses import replace
 from math import ceil, floor, inf
 from typing import Final
 
-from planner_bridge.model.grounding import initial_knowledge
+from planner_bridge.model.grounding import conditions_of, initial_knowledge
 from planner_bridge.model.guards import unused_name
 from planner_bridge.model.plan import Plan, PlanStep
 from planner_bridge.model.problem import Domain, Problem, once_per_domain
 from planner_bridge.model.progression import NotApplicable, Progression, calls_of, snapshot
 from planner_bridge.ordering.plan_to_graph import causal_links
-from planner_bridge.planning.normal_form import conditions_of
 from pnm.core.logic.conditions import All, Any, Compare, Condition, Holds, Not, conjunction, evaluate, every_part, fluents
 from pnm.core.logic.domain import Declaration
 from pnm.core.logic.effects import constants

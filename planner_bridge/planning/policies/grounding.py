@@ -100,7 +100,7 @@ class _Grounding:
         self.total = counted if counted[0] in self.changing else None
         """What the metric counts, if it does."""
         self.measure = OF_METRIC if self.total else "s" if seconds or problem.is_timed else "calls"
-        conditions, functions = [*conditions_of(problem), *(rule.condition for rule in self.rules)], problem.domain.functions
+        conditions, functions = [*conditions_of(problem)], problem.domain.functions
         read = frozenset().union(*map(names, conditions))
         self.counted = frozenset(name for name in self.changing & read & functions.keys() if not functions[name].values)
         """Functions for numbers that actions change, and conditions read."""
