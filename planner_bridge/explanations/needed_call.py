@@ -25,7 +25,7 @@ from pnm.core.knowledge_base import KnowledgeBase
 from pnm.core.logic.conditions import Condition, Holds, conjunction, ground, observed, unmet
 from pnm.core.logic.domain import ActionSchema, Declaration
 from pnm.core.logic.effects import Set, ground_effects
-from pnm.core.logic.expressions import Constant, Environment, Fluent, ValueOf, ground_expression
+from pnm.core.logic.expressions import Constant, Fluent, ValueOf, ground_expression
 from pnm.core.machine.plan_graph import ActionCall
 from pnm.errors import counted
 
@@ -210,7 +210,7 @@ class Forced:
         fact, copy = (unused_name("used", domain),), f"{schema.name}-used"
         while copy in domain.actions:
             copy += "-"
-        env: Environment = {variable.name: name for variable, name in zip(schema.parameters, action.arguments, strict=True)}
+        env = schema.environment(action.arguments)
         bounds = schema.duration and tuple(replace(bound, bound=ground_expression(bound.bound, env)) for bound in schema.duration)
         used = ActionSchema(
             copy,

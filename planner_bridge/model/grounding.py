@@ -13,7 +13,7 @@ from pnm.core.knowledge_base import KnowledgeBase
 from pnm.core.logic.conditions import Condition
 from pnm.core.logic.domain import ActionSchema, ProblemModel, Types
 from pnm.core.logic.effects import TimedChange, When, every_effect, names_written
-from pnm.core.logic.expressions import UNKNOWN, Environment, Fluent, OnlyObjects, State, Unknown, Value, fluent_text, value_of
+from pnm.core.logic.expressions import UNKNOWN, Fluent, OnlyObjects, State, Unknown, Value, fluent_text, value_of
 from pnm.core.logic.rules import DerivationRule, Rules
 from pnm.core.machine.plan_graph import GroundAction, ground_schema
 from pnm.errors import InputError
@@ -36,8 +36,7 @@ def ground_action(
     if len(arguments) != len(schema.parameters):
         expected = " ".join(variable.name for variable in schema.parameters) or "none"
         raise InputError(f"{schema.name} takes {len(schema.parameters)} arguments ({expected}), found {len(arguments)}")
-    env: Environment = {variable.name: argument for variable, argument in zip(schema.parameters, arguments, strict=True)}
-    action = ground_schema(schema, arguments, env, state or OnlyObjects({}), duration, outcome)
+    action = ground_schema(schema, arguments, schema.environment(arguments), state or OnlyObjects({}), duration, outcome)
     return action if schema.duration is not None or duration is None else replace(action, duration=None)
 
 
@@ -58,7 +57,7 @@ def modelled_duration(schema: ActionSchema, arguments: tuple[str, ...], state: S
     """Return the shortest duration the schema allows in the state; None for an instantaneous action."""
     if schema.duration is None:
         return None
-    env: Environment = {variable.name: argument for variable, argument in zip(schema.parameters, arguments, strict=True)}
+    env = schema.environment(arguments)
     bounds = [value_of(constraint.bound, state, env) for constraint in schema.duration if constraint.operation in ("=", ">=")]
     numbers = [float(bound) for bound in bounds if bound is not UNKNOWN and not isinstance(bound, str)]
     return max(numbers, default=0.0)

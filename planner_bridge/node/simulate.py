@@ -116,10 +116,9 @@ class ServerModel:
             told = arguments_of(self.bindings.of(schema.name).goal or {}, data)
             if told is None or (isinstance(named, str) and named != schema.name):
                 continue
-            names = [variable.name[1:] for variable in schema.parameters]
             listed = data.get("arguments")
-            known = dict(zip(names, listed, strict=False)) if isinstance(listed, list) else {}
-            known |= {**{name: data[name] for name in names if name in data}, **told, **fixed}
+            known = dict(zip(schema.names, listed, strict=False)) if isinstance(listed, list) else {}
+            known |= {**{name: data[name] for name in schema.names if name in data}, **told, **fixed}
             choices = [
                 [known[name]] if (name := variable.name[1:]) in known else state.objects(variable.types) for variable in schema.parameters
             ]

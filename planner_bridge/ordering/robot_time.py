@@ -73,8 +73,7 @@ class ExpectedTimes:
 
     def of(self, schema: ActionSchema, arguments: tuple[str, ...]) -> float:
         """Return the expected seconds of the calls of an action that begin with these arguments."""
-        names = tuple([variable.name[1:] for variable in schema.parameters[: len(arguments)]])
-        return self.expected(GroundAction(schema.name, arguments, names))
+        return self.expected(GroundAction(schema.name, arguments, schema.names[: len(arguments)]))
 
     @cached_property
     def told_apart(self) -> dict[str, int]:

@@ -130,7 +130,7 @@ class _Relaxation:
             arguments = tuple(str(env[variable.name]) for variable in schema.parameters)
             needs, early, late = self._needs(schema.precondition, env), self._makes(at_start, env), self._makes(at_end, env)
             if self._rates is not None:
-                action = GroundAction(schema.name, arguments, tuple(variable.name.removeprefix("?") for variable in schema.parameters))
+                action = GroundAction(schema.name, arguments, schema.names)
                 yield _Action(needs, late, self._rates.expected(action), self._rates.bindings.resources(action))
             elif self._problem.is_timed and self._counted is None:
                 is_known = None not in [self._constant(bound, env) for bound in bounds]

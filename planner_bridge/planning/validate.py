@@ -140,7 +140,7 @@ class _Step:
         return f"step {self.number}, {self.action},"
 
     def check_duration(self, state: State) -> None:
-        env = dict(zip((variable.name for variable in self.schema.parameters), self.action.arguments, strict=True))
+        env = self.schema.environment(self.action.arguments)
         for constraint in self.schema.duration or ():
             bound = value_of(constraint.bound, state, env)
             excess = self.duration - bound if isinstance(bound, int | float) else float("inf")

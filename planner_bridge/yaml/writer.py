@@ -29,7 +29,7 @@ from pnm.core.logic.trajectory import Constraint
 from pnm.core.machine.bindings import DEFAULT, NO_BINDINGS, Binding, Bindings, Foreign, Found, Table, WhenLost
 from pnm.core.machine.plan_graph import Moment, Ordering, PlanEvent, PlanGraph, necessary
 from pnm.core.message_fields import Combined, Comparison, FieldValue, Flag
-from pnm.core.net.orders import closure, reduced
+from pnm.core.net.orders import closure, places, reduced
 from pnm.errors import InputError
 from pnm.files.yaml_nodes import MAX_DEPTH
 from pnm.language.grammar import RESERVED
@@ -529,7 +529,7 @@ def blocks(before: Sequence[tuple[int, ...]]) -> Block:
     earlier = closure(before)
     related = list(earlier)
     for number, ancestors in enumerate(earlier):
-        for element in _members(ancestors):
+        for element in places(ancestors):
             related[element] |= 1 << number
     return _block((1 << len(before)) - 1, before, earlier, related)
 
@@ -542,9 +542,9 @@ def _block(members: int, before: Sequence[tuple[int, ...]], earlier: Sequence[in
         return Parallel(tuple([_block(part, before, earlier, related) for part in beside]))
     chained = _components(members, [~neighbours for neighbours in related])
     if len(chained) > 1:
-        chained.sort(key=lambda part: (earlier[_lowest(part)] & members & ~part).bit_count())
+        chained.sort(key=lambda part: (earlier[next(places(part))] & members & ~part).bit_count())
         return Series(tuple([_block(part, before, earlier, related) for part in chained]))
-    return Mesh({element: tuple(other for other in before[element] if members >> other & 1) for element in _members(members)})
+    return Mesh({element: tuple(other for other in before[element] if members >> other & 1) for element in places(members)})
 
 
 def _components(members: int, neighbours: Sequence[int]) -> list[int]:
@@ -552,24 +552,13 @@ def _components(members: int, neighbours: Sequence[int]) -> list[int]:
     parts: list[int] = []
     left = members
     while left:
-        part = frontier = 1 << _lowest(left)
+        part = frontier = left & -left
         while frontier:
             reached = 0
-            for element in _members(frontier):
+            for element in places(frontier):
                 reached |= neighbours[element]
             frontier = reached & left & ~part
             part |= frontier
         parts.append(part)
         left &= ~part
     return parts
-
-
-def _lowest(members: int) -> int:
-    return (members & -members).bit_length() - 1
-
-
-def _members(members: int) -> Iterator[int]:
-    while members:
-        lowest = _lowest(members)
-        yield lowest
-        members ^= 1 << lowest

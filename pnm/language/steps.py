@@ -223,7 +223,7 @@ class StepReader:
         action = self.actions[name]
         argument = entry.needed(name)
         if not (argument.is_null or argument.is_mapping):
-            first = next((variable.name[1:] for variable in action.schema.parameters), "" if not action.is_open else "parameter")
+            first = next(iter(action.schema.names), "" if not action.is_open else "parameter")
             write = f"- {name}: {{{first}: {argument.written or '…'}}}" if first else f"- {name}:"
             raise argument.wrong(f"expected the parameters of {name}, found {shown(argument)}; write '{write}'")
         arguments = Mapped(entry.file, entry.start, {}) if argument.is_null else argument.mapped()
@@ -232,7 +232,7 @@ class StepReader:
         options = grammar.Call(entry.without(name))  # the action may have the name of an option
         resources = tuple(options.resources)
         if action.kind is not grammar.ActionKind.KB:
-            names = given if action.is_open else [variable.name[1:] for variable in action.schema.parameters]
+            names = given if action.is_open else action.schema.names
             example = next((f"{{{parameter}}}/base" for parameter in names), "base")
             for pattern in (action.binding.server or "", *action.resources, *resources):
                 check_pattern(
@@ -307,7 +307,7 @@ class StepReader:
         return WrittenRecovery(node.position, causes, chain, then, times, when)
 
     def _given(self, action: LanguageAction, key: str, where: Position, node: Node) -> GivenValue:
-        parameters = [variable.name[1:] for variable in action.schema.parameters]
+        parameters = action.schema.names
         if not action.is_open and key not in parameters:
             raise InputError(f"{action.name} has no parameter {key!r}; {known_names(key, parameters)}", where)
         data = read_data(node, self.scope)

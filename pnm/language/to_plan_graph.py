@@ -84,7 +84,7 @@ def ground_action(step: CallStep, outer: Mapping[str, Data], facts: KnowledgeBas
     env = plain_values({f"?{name}": data for name, data in given.items()})
     unbound = {name: data for name, data in outer.items() if name not in {variable.name for variable in step.action.schema.parameters}}
     operation = None if step.operation is None else filled_operation(step.operation, unbound)
-    names = tuple(step.given) if step.action.is_open else tuple(variable.name[1:] for variable in step.action.schema.parameters)
+    names = tuple(step.given) if step.action.is_open else step.action.schema.names
     if operation is not None and not step.action.is_open:  # of an action on knowledge, those that are used or given
         datas = (operation.name, operation.value, operation.meta) if isinstance(operation, Update) else (operation,)
         used = step.action.mentioned.union(*map(parameters_in, datas))

@@ -215,7 +215,7 @@ class _Grounding:
         moves: dict[Fluent, dict[tuple[Condition, tuple[Set, ...]], None]] = defaultdict(dict)
         for action in actions:
             schema = self.problem.domain.actions[action.name]
-            env = {variable.name: name for variable, name in zip(schema.parameters, action.arguments, strict=True)}
+            env = schema.environment(action.arguments)
             for outcome in action.outcomes:
                 for fluent, _, effects in outcome.numbers():
                     needed = [part for part in conjuncts(ground(schema.precondition, env)) if names(part) & self.counted]
@@ -342,7 +342,7 @@ class _Grounding:
 
     def ground(self, schema: ActionSchema, arguments: tuple[str, ...], duration: float | None) -> GroundAction:
         """Return a ground action as far as it says how long it takes, and how it turns out."""
-        return GroundAction(schema.name, arguments, tuple(variable.name[1:] for variable in schema.parameters), duration=duration)
+        return GroundAction(schema.name, arguments, schema.names, duration=duration)
 
     def price(self, schema: ActionSchema, ended: Effects, env: Environment) -> float:
         """Return what an action adds to the metric, if that counts; 1 otherwise."""

@@ -17,6 +17,7 @@ from typing import Final, NamedTuple
 from planner_bridge.planning.policies.numbers import AtLeast, Scale
 from pnm.core.logic.effects import Alternative, Set
 from pnm.core.logic.expressions import Fluent, fluent_text
+from pnm.core.net.orders import places as places
 from pnm.errors import PnmError
 
 
@@ -54,14 +55,6 @@ LEAST_CHANCE: Final = 1e-12
 """A chance that counts as so much at least, where it is divided by."""
 OF_METRIC: Final = "of the metric"
 """The measure of costs where the problem has a metric, in place of seconds or calls."""
-
-
-def places(bits: int) -> Iterator[int]:
-    """Yield the places of the bits that are set."""
-    while bits:
-        low = bits & -bits
-        yield low.bit_length() - 1
-        bits ^= low
 
 
 @dataclass(frozen=True, eq=False)

@@ -81,6 +81,15 @@ class ActionSchema:
     expected: Condition = TRUE
     """A condition on variables that the action's server is expected to bring about; PDDL has none."""
 
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The names of the parameters, without ``?``."""
+        return tuple([variable.name[1:] for variable in self.parameters])
+
+    def environment(self, arguments: Iterable[str]) -> dict[str, object]:
+        """Return the objects for the variables, of which there are as many."""
+        return {variable.name: argument for variable, argument in zip(self.parameters, arguments, strict=True)}
+
 
 @dataclass(frozen=True, slots=True)
 class Declaration:

@@ -96,7 +96,7 @@ def ground_schema(
     return GroundAction(
         name=schema.name,
         arguments=arguments,
-        parameters=tuple(variable.name[1:] for variable in schema.parameters),
+        parameters=schema.names,
         precondition=ground(schema.precondition, env),
         invariant=ground(schema.invariant, env),
         end_condition=ground(schema.end_condition, env),

@@ -63,6 +63,14 @@ def closure(before: Sequence[Iterable[int]]) -> list[int]:
     return earlier
 
 
+def places(bits: int) -> Iterator[int]:
+    """Yield the places of the bits that are set, the lowest first: the elements of a set that is a number, as in `closure`."""
+    while bits:
+        low = bits & -bits
+        yield low.bit_length() - 1
+        bits ^= low
+
+
 @dataclass(frozen=True, slots=True)
 class TimeOrder:
     """Order of time of a net."""
