@@ -1,27 +1,22 @@
 """A portfolio of planners on the same problem: the first valid plan counts, and the other searches are stopped.
 
-The planners run in a `concurrent.futures.Executor`: by default processes of this machine, and
-any other that the caller supplies, a cluster's as well. What is submitted is a function of this
-module with plain data. A stop file ends the searches: jobs that see the same file system stop at
-once, any other at its time limit.
+The planners run in a `concurrent.futures.Executor`: by default threads, from which every engine
+gets its process, and any other that the caller supplies, a cluster's as well. What is submitted is
+a function of this module with plain data. A stop file ends the searches: jobs that see the same
+file system stop at once, any other at its time limit.
 """
 
 from __future__ import annotations
 
-import multiprocessing
-import os
 import shutil
-import signal
-import sys
 import tempfile
 import threading
 import time
-from collections.abc import Callable, Mapping
-from concurrent.futures import FIRST_COMPLETED, CancelledError, Executor, Future, ProcessPoolExecutor, wait
+from collections.abc import Mapping
+from concurrent.futures import FIRST_COMPLETED, CancelledError, Executor, Future, ThreadPoolExecutor, wait
 from dataclasses import replace
 from pathlib import Path
-from types import ModuleType
-from typing import Any, Final
+from typing import Final
 
 from planner_bridge.model.plan import CancelToken, PlanningResult, PlanningStatus
 from planner_bridge.model.problem import Problem
@@ -31,10 +26,7 @@ from planner_bridge.planning.engines import ENGINES, START_LIMIT, Feature, probl
 from planner_bridge.planning.kairos import DEFAULT_PLANNER, search
 from planner_bridge.planning.validate import explained, validated
 from pnm.errors import InputError, suggestion
-from pnm.files.process import forget_safe_path, safe_path
 
-_GRACE: Final = 2.0
-"""Seconds that a process gets to end by itself once the stop file is there."""
 _POLL: Final = 0.05
 _HARDLY: Final = 0.001
 """Seconds for which Kairos improves its plan: others wait for it; and not 0, which asks for one search alone."""
@@ -63,7 +55,7 @@ def solve_with_portfolio(
 ) -> PlanningResult:
     """Let planners search at the same time, at most `timeout` seconds, and return the first valid plan.
 
-    By default the members are Kairos and the engines of `ENGINES` that are installed and suit the problem, and each gets
+    By default the members are Kairos and the engines of `ENGINES` that are installed and suit the problem. Each engine has
     a process of its own, which is gone when this returns. The time to load a planner does not count.
     """
     names = suitable_planners(problem) if planners is None else _known(planners)
@@ -74,7 +66,7 @@ def solve_with_portfolio(
     texts = write_domain(problem.domain), write_problem(problem)  # PDDL as text: plain data, which any executor can pass to any machine
     folder = Path(tempfile.mkdtemp(prefix="pnm-race-"))
     stop_file = folder / "over"
-    pool = executor or _ProcessPerJob(stop_file)
+    pool = executor or ThreadPoolExecutor(len(names))
     searches: dict[Future[PlanningResult], str] = {}
     try:
         for name in names:
@@ -90,7 +82,7 @@ def solve_with_portfolio(
         stop_file.touch()  # in every case, an error included: workers see the file and end themselves
         for future in searches:
             future.cancel()
-        if executor is None:  # the processes are ours; an executor of the caller stays open for other searches
+        if executor is None:  # the threads are ours; an executor of the caller stays open for other searches
             pool.shutdown()
         # Not before: a worker that begins without the folder would take our file system for one that it does not share.
         going_on = {*searches}
@@ -180,47 +172,3 @@ class _StopFile:
 
     def is_set(self) -> bool:
         return self._is_shared and (self._file.exists() or not self._file.parent.exists())
-
-
-class _ProcessPerJob(Executor):
-    """An executor with a new process for every job, so that one that crashes takes no other with it.
-
-    A process ends itself when the stop file appears or our process is gone, whatever its job does.
-    """
-
-    def __init__(self, stop_file: Path) -> None:
-        self._stop_file = stop_file
-        self._pools: list[ProcessPoolExecutor] = []
-
-    def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
-        spawn = multiprocessing.get_context("spawn")  # we may have threads, which do not survive a fork
-        with safe_path():
-            pool = ProcessPoolExecutor(1, mp_context=spawn, initializer=_begin_process, initargs=(str(self._stop_file),))
-            self._pools.append(pool)  # before the submission, so that the pool is shut down even if that fails
-            main = sys.modules["__main__"]
-            sys.modules["__main__"] = ModuleType("__main__")  # lest the process run the caller's script again
-            try:
-                return pool.submit(fn, *args, **kwargs)
-            finally:
-                sys.modules["__main__"] = main
-
-    def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
-        for pool in self._pools:
-            pool.shutdown(wait, cancel_futures=cancel_futures)
-
-
-def _begin_process(stop_file: str) -> None:
-    """Leave Ctrl-C to the parent, and watch for the end of the search in a thread."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    forget_safe_path()
-
-    def exit_when_stopped() -> None:
-        parent = multiprocessing.parent_process()
-        # Joining the parent is the sleep: its end is noticed at once, and the file within one interval.
-        while parent and parent.is_alive() and not Path(stop_file).exists():
-            parent.join(_POLL)
-        if parent:  # a grace period, in which a planner that looks at its token ends properly and cleans up
-            parent.join(_GRACE)
-        os._exit(1)  # not `sys.exit`: this is a thread, and native code of a planner would hold up an orderly end
-
-    threading.Thread(target=exit_when_stopped, daemon=True).start()

@@ -74,7 +74,7 @@ def solve(
         improve: seconds for which Kairos looks for a better plan once there is one; 0 for the first plan, the same every time. By default
             a share of the time that the plan is expected to take.
         cancel: set from another thread to end the search.
-        executor: runs the planners of a portfolio; a process pool by default.
+        executor: runs the planners of a portfolio; threads by default.
         bindings: say how long actions take, where the domain does not, and which resources they need for themselves.
         learned: say how long they take, how often they succeed, and which outcomes they have, by what has happened.
         known: a plan that robots carry out meanwhile: Kairos looks for a better one alone, and for longer.

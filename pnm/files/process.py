@@ -10,16 +10,12 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Iterable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any, Final, TextIO, cast
 
 from pnm.errors import printable_lines
 
-_SAFE: Final = "PYTHONSAFEPATH"
-_OURS: Final = "of pnm"
-"""Its value when it was set here, and not by the user."""
 _ROOT: Final = Path(__file__).parents[2]
 """The folder of our packages."""
 
@@ -35,23 +31,6 @@ def own_environment(**added: str) -> Mapping[str, str]:
     if _ROOT.name not in ("site-packages", "dist-packages"):  # which come behind the standard library by themselves
         path.insert(0, str(_ROOT))
     return {**os.environ, **({"PYTHONPATH": os.pathsep.join(path)} if path else {}), **added}
-
-
-@contextmanager
-def safe_path() -> Iterator[None]:
-    """Have processes that the standard library starts here, by `multiprocessing`, import nothing from the current folder."""
-    before = os.environ.get(_SAFE)
-    os.environ[_SAFE] = before or _OURS
-    try:
-        yield
-    finally:
-        forget_safe_path()
-
-
-def forget_safe_path() -> None:
-    """Have processes that are started here import as usual again: programs of others may need the folder of their script."""
-    if os.environ.get(_SAFE) == _OURS:
-        del os.environ[_SAFE]
 
 
 # --- standard output and standard error without control characters, whoever writes ---------
