@@ -54,3 +54,5 @@ def test_a_run_that_is_killed_goes_on_from_what_came_about(deploy):
     assert task["code"] == "goal_reached"
     told = pnm("why", "--journal", deployment.journal, "--replan").output
     assert "pick(mug): 2" in told, told
+    again = pnm("resume", deployment.journal)
+    assert (again.returncode, "goal_reached" in again.stdout) == (0, True)

@@ -1,35 +1,21 @@
-"""`pnm run --journal FILE`: a run that was killed goes on with `pnm resume FILE`."""
+"""`pnm run --journal FILE`: a run that was killed goes on with `pnm resume FILE`; with robots over ROS 2 see `test_outcomes`."""
 
 from __future__ import annotations
 
 import json
 import signal
 from collections import Counter
-from collections.abc import Callable
 from contextlib import closing
 from pathlib import Path
 
 from pnm.journal.store import JournalFile
 from tests.support.e2e.command_line import pnm, result
-from tests.support.e2e.deployment import ProblemDeployment
 from tests.support.files import written
 from tests.support.processes import LIMIT, Program
 
 
 def history(journal: Path | str) -> list[dict[str, object]]:
     return [json.loads(line) for line in pnm("history", str(journal), "--json").stdout.splitlines()]
-
-
-def test_a_run_that_is_killed_goes_on_with_resume(deploy: Callable[..., ProblemDeployment]) -> None:
-    deployment = deploy("delivery/p01", speed="4")
-    finished = deployment.execute_killed("move", "--improve", "0")
-    assert finished.status == 0
-    starts = Counter(event["action"] for event in finished.events if event["event"] == "start")
-    assert set(starts.values()) == {1}, starts
-    assert [task["code"] for task in history(deployment.journal)] == ["goal_reached"]
-    again = pnm("resume", deployment.journal)
-    assert again.returncode == 0
-    assert "goal_reached" in again.stdout
 
 
 def dies(commits: int, *arguments: str) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import pytest
-from hypothesis import given, settings, strategies as st
 
 from planner_bridge.model.grounding import initial_knowledge
 from planner_bridge.model.problem import Problem
@@ -15,7 +14,6 @@ from planner_bridge.planning.policies.task import Unsuitable
 from planner_bridge.tasks.settings import Settings
 from pnm.actions.faults import Faults
 from tests.support.files import ROOT
-from tests.support.pddl.chance import check_best_policy
 
 OUTCOMES = {
     "(and (open ?hallway) (decrease (battery ?robot) (door_use)))": """(and (decrease (battery ?robot) (door_use))
@@ -56,12 +54,6 @@ def household(battery: int, is_open: str, goal: str) -> Problem:
 def found(problem: Problem) -> Policy:
     *_, best = policies(problem, 60.0)
     return best
-
-
-@settings(max_examples=200)
-@given(st.integers(0, 10**9))
-def test_the_best_policy_is_found(seed: int) -> None:
-    check_best_policy(seed, derives=True)
 
 
 CHARGED = "(and (at robot dumpster) (>= (battery robot) 20))"

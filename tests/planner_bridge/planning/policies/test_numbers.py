@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 
 import pytest
-from hypothesis import given, settings, strategies as st
 
 from planner_bridge.model.grounding import initial_knowledge
 from planner_bridge.model.problem import Problem
@@ -18,7 +17,6 @@ from planner_bridge.planning.policies.proof import unproved
 from planner_bridge.planning.policies.task import Unsuitable
 from planner_bridge.planning.solve import solve
 from pnm.core.machine.bindings import Binding, Bindings
-from tests.support.pddl.chance import check_best_policy
 
 DOOR = """
 (define (domain door) (:requirements :typing :negative-preconditions :fluents :non-deterministic) (:types place)
@@ -53,12 +51,6 @@ def house(battery: float = 22, domain: str = DOOR) -> Problem:
 def found(problem: Problem, seconds: Seconds | None = None) -> Policy:
     *_, best = policies(problem, 60.0, None, seconds)
     return best
-
-
-@settings(max_examples=50)
-@given(st.integers(0, 10**9))
-def test_the_best_policy_is_found(seed: int) -> None:
-    check_best_policy(seed, counts=True)
 
 
 def test_the_battery_is_charged_before_the_door_that_may_not_open() -> None:

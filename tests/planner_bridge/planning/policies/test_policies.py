@@ -42,10 +42,16 @@ def found(problem: Problem) -> Policy:
     return best
 
 
-@settings(max_examples=200)
-@given(st.integers(0, 10**9))
-def test_the_best_policy_is_found(seed: int) -> None:
-    check_best_policy(seed)
+@pytest.mark.parametrize(
+    ("kind", "examples"), [({}, 200), ({"counts": True}, 50), ({"derives": True}, 200)], ids=["facts", "numbers", "rules"]
+)
+def test_the_best_policy_is_found(kind: dict[str, bool], examples: int) -> None:
+    @settings(max_examples=examples)
+    @given(st.integers(0, 10**9))
+    def check(seed: int) -> None:
+        check_best_policy(seed, **kind)
+
+    check()
 
 
 def test_what_is_tried_for_long_does_not_look_better_than_what_it_is_tried_for() -> None:
