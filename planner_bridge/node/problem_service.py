@@ -152,13 +152,9 @@ class ServedProblem:
                 )
                 if result.plan is None:
                     return MadePlan(code_of_planning(result.status, ()), result.reason, str(problem.goal))
-                before: dict[int, set[int]] = {}
-                for ordering in plan_graph(problem, result.plan).orderings:
-                    before.setdefault(ordering.after.call, set()).add(ordering.before.call)
+                before = plan_graph(problem, result.plan).waits_for
                 steps = tuple(
-                    TaskStep(
-                        step.action, step.arguments, step.start, step.duration, StepState.WAITING, tuple(sorted(before.get(number, ())))
-                    )
+                    TaskStep(step.action, step.arguments, step.start, step.duration, StepState.WAITING, tuple(sorted(before[number])))
                     for number, step in enumerate(result.plan.steps)
                 )
                 odds = None

@@ -18,10 +18,10 @@ from planner_bridge.model.guards import guarded, unused_name, with_guards
 from planner_bridge.model.problem import Problem
 from planner_bridge.model.progression import NotApplicable, Progression, snapshot
 from pnm.core.knowledge_base import KnowledgeBase
-from pnm.core.logic.conditions import TRUE, Compare, Computed, Condition, Exists, ForAll, Holds, Implies, Not, fluents, operands_of
+from pnm.core.logic.conditions import TRUE, Compare, Computed, Condition, Holds, Not, fluents, parts_of
 from pnm.core.logic.domain import Declaration
 from pnm.core.logic.effects import Effects, ForEach, OneOf, Set, TimedChange, When, possible_assignments, read
-from pnm.core.logic.expressions import NOTHING, Constant, Environment, Fluent, State, Unknown, Value, bind, choices, fluent_text
+from pnm.core.logic.expressions import NOTHING, Constant, Environment, Fluent, State, Unknown, Value, bind, fluent_text
 from pnm.core.machine.plan_graph import ActionCall, Moment, Ordering, PlanEvent, PlanGraph
 
 NEVER: Final[Mapping[Fluent, float]] = {}
@@ -105,20 +105,11 @@ def _values_needed(condition: Condition, value: bool, state: State, env: Environ
     match condition:
         case Holds(fluent):
             yield bind(fluent, env), value
-        case Not(inner):
-            yield from _values_needed(inner, not value, state, env)
-        case Implies(condition, then):
-            # An implication also holds when its condition is false, so either of the two may be relied on.
-            yield from _values_needed(condition, not value, state, env)
-            yield from _values_needed(then, value, state, env)
-        case ForAll(variables, body) | Exists(variables, body):
-            for chosen in choices(variables, state, env):
-                yield from _values_needed(body, value, state, chosen)
         case Compare() | Computed():
             yield from ((fluent, None) for fluent in fluents(condition, state, env))
-        case _:
-            for part in operands_of(condition):
-                yield from _values_needed(part, value, state, env)
+        case _:  # any of several alternatives may be relied on
+            for part, inner, truth in parts_of(condition, state, env, value)[0]:
+                yield from _values_needed(part, truth, state, inner)
 
 
 def _written(effects: Effects, state: State) -> dict[Fluent, set[bool | None]]:

@@ -118,12 +118,9 @@ def ends_of(graph: PlanGraph, rates: ExpectedTimes, left: Mapping[int, float] = 
     """
     ends: list[float] = []
     free: dict[str, float] = {}
-    waits: list[list[int]] = [[] for _ in graph.calls]
-    for ordering in graph.orderings:
-        waits[ordering.after.call].append(ordering.before.call)
     for call in graph.calls:
         resources = rates.bindings.resources(call.action)
-        begins = max((*(ends[other] for other in waits[call.index]), *(free.get(name, 0.0) for name in resources)), default=0.0)
+        begins = max((*(ends[other] for other in graph.waits_for[call.index]), *(free.get(name, 0.0) for name in resources)), default=0.0)
         ends.append(left[call.index] if call.index in left else begins + rates.expected(call.action))
         free |= dict.fromkeys(resources, ends[-1])
     return ends

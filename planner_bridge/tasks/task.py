@@ -194,10 +194,6 @@ class Task(TaskObserver):
         if run is None:
             return ()
         graph = run.machine.plan
-        before: dict[int, list[int]] = {}
-        for ordering in graph.orderings:
-            if ordering.before.call < len(graph.calls) and ordering.after.call < len(graph.calls):
-                before.setdefault(ordering.after.call, []).append(ordering.before.call)
         results = {result.call.index: result for result in run.interim_result().calls}
         arguments = {index: result.call.action.arguments for index, result in results.items() if result.started is not None}
 
@@ -209,7 +205,7 @@ class Task(TaskObserver):
                 call.planned,
                 call.action.duration or 0.0,
                 step_state(result.kind),
-                tuple(dict.fromkeys(before.get(call.index, ()))),
+                graph.waits_for[call.index],
                 result.started,
                 result.ended,
                 result.attempts,

@@ -321,10 +321,8 @@ def ground(condition: Condition, env: Environment) -> Condition:
             return Any(tuple([ground(operand, env) for operand in operands]))
         case Implies(left, right):
             return Implies(ground(left, env), ground(right, env))
-        case ForAll(variables, body):
-            return ForAll(variables, ground(body, hidden(env, variables)))
-        case Exists(variables, body):
-            return Exists(variables, ground(body, hidden(env, variables)))
+        case ForAll(variables, body) | Exists(variables, body):
+            return type(condition)(variables, ground(body, hidden(env, variables)))
         case Computed(data):
             return Computed(substituted(data, env))
         case _:
@@ -371,10 +369,9 @@ def evaluate(condition: Condition, state: State, env: Environment = NOTHING) -> 
             return _joined((evaluate(operand, state, env) for operand in operands), True)
         case Implies(left, right):
             return _joined((evaluate(operand, state, env) for operand in (Not(left), right)), True)
-        case ForAll(variables, body):
-            return _joined((evaluate(body, state, inner) for inner in choices(variables, state, env)), False)
-        case Exists(variables, body):
-            return _joined((evaluate(body, state, inner) for inner in choices(variables, state, env)), True)
+        case ForAll(variables, body) | Exists(variables, body):
+            decisive = isinstance(condition, Exists)
+            return _joined((evaluate(body, state, inner) for inner in choices(variables, state, env)), decisive)
         case Computed(data):
             if not isinstance(state, Answers):
                 return UNKNOWN

@@ -447,6 +447,15 @@ class PlanGraph:
         return tuple(step for step in self.every_step if isinstance(step, ActionCall))
 
     @cached_property
+    def waits_for(self) -> tuple[tuple[int, ...], ...]:
+        """For every call, the calls that it directly waits for with its start or its end."""
+        found: list[dict[int, None]] = [{} for _ in self.calls]
+        for before, after in ((ordering.before.call, ordering.after.call) for ordering in self.orderings):
+            if max(before, after) < len(found):
+                found[after][before] = None
+        return tuple(map(tuple, found))
+
+    @cached_property
     def used_by(self) -> dict[str, set[int]]:
         """For predicates and functions, the numbers of the calls that read or write them; the goal counts as one more call.
 
