@@ -28,6 +28,12 @@ from tests.support.tasks.world import PROBLEM, served, world
 LONG = f"(and {'(not (dark)) ' * 5000}(charged r1))"
 
 
+@pytest.fixture(autouse=True)
+def no_time_passes(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Have the answers take no time, on however busy a machine."""
+    monkeypatch.setattr(world_queries, "monotonic", lambda: 0.0)
+
+
 def deep(variables: int) -> str:
     """A condition about every choice of three robots for so many variables."""
     return f"(forall ({' '.join(f'?x{number}' for number in range(variables))} - robot) (charged ?x0))"

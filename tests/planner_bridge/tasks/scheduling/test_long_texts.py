@@ -40,9 +40,11 @@ def counted() -> Iterator[Callable[[], int]]:
     before = sys.getswitchinterval()
     sys.setswitchinterval(1e-4)  # a turn lets the other thread work for so long: with the usual 5 ms, there are 6 turns while it decides
     counting = asyncio.ensure_future(count())
-    yield lambda: turns
-    counting.cancel()
-    sys.setswitchinterval(before)
+    try:
+        yield lambda: turns
+    finally:
+        counting.cancel()
+        sys.setswitchinterval(before)
 
 
 async def turns_until(simulation: TaskSimulation, task: UUID, kind: str, text: str, times: int = 1) -> int:
