@@ -5,15 +5,23 @@ from __future__ import annotations
 import os
 import shlex
 import subprocess
+import time
 from contextlib import chdir
 from dataclasses import dataclass
 from pathlib import Path
+from types import SimpleNamespace
+from unittest.mock import patch
 
 from click.testing import CliRunner
 
 from planner_bridge.cli.commands import app
+from planner_bridge.planning import kairos
 from tests.support.docs.page import Step
 from tests.support.files import ROOT
+
+
+_PROCESSOR = SimpleNamespace(monotonic=time.process_time, process_time=time.process_time)
+"""The time for better plans is that of the processor: the plans are the same however busy the machine is."""
 
 
 @dataclass
@@ -29,7 +37,7 @@ class OwnShell:
             case ["pnm", *arguments]:
                 # As wide as a terminal is by default; knowledge and journals that outlast a process are kept in the folder.
                 environment = {"COLUMNS": "80", "XDG_STATE_HOME": str(self.folder)}
-                with chdir(self.folder):
+                with chdir(self.folder), patch.object(kairos, "time", _PROCESSOR):
                     done = CliRunner(env=environment).invoke(app, arguments, prog_name="pnm")
                 self.status = done.exit_code
                 return done.output
