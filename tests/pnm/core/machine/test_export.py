@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import sys
 from collections.abc import Callable
 from dataclasses import replace
@@ -16,7 +17,16 @@ from tests.support.runs.plan_graphs import ordering, plan_of
 from tests.support.runs.simulated import move
 
 GOLDEN = Path(__file__).parent / "golden"
-FORMATS: dict[str, Callable[[PetriNetMachine], str]] = {"dot": to_dot, "json": to_json}
+
+
+def with_an_item_a_line(machine: PetriNetMachine) -> str:
+    """The JSON of a machine, of which only the layout is another one."""
+    content = json.loads(to_json(machine))
+    assert to_json(machine) == json.dumps(content, indent=1) + "\n"
+    return "".join(f"{key}\n" + "".join(f" {json.dumps(item)}\n" for item in items) for key, items in content.items())
+
+
+FORMATS: dict[str, Callable[[PetriNetMachine], str]] = {"dot": to_dot, "json.txt": with_an_item_a_line}
 
 
 def machine() -> PetriNetMachine:
