@@ -87,6 +87,8 @@ T = TypeVar("T")
 class Program:
     """A Python program in a process of its own.
 
+    The mutable state is its output.
+
     Args:
         arguments: of Python.
         environment: what is added to the environment.
@@ -98,6 +100,8 @@ class Program:
         self.arguments = arguments
         self.out: list[str] = []
         self.err: list[str] = []
+        self._told: list[dict[str, Any]] = []
+        self._lines = 0
         self._heard = threading.Condition()
         self.process = subprocess.Popen(
             [*within, sys.executable, *arguments],
@@ -163,8 +167,11 @@ class Program:
         assert "Traceback" not in "\n".join((*self.out, *self.err)), str(self)
 
     def objects(self) -> list[dict[str, Any]]:
-        """Return the JSON objects printed so far."""
-        return [json.loads(line) for line in tuple(self.out) if line.startswith("{")]
+        """Return the JSON objects printed so far; each line is read once, for who waits asks again and again."""
+        with self._heard:
+            self._told += [json.loads(line) for line in self.out[self._lines :] if line.startswith("{")]
+            self._lines = len(self.out)
+            return self._told.copy()
 
     def __str__(self) -> str:
         return "\n".join((" ".join(self.arguments), "--- out", *self.out[-200:], "--- err", *self.err[-50:]))
