@@ -90,10 +90,11 @@ def mutants(kind: str, numbers: range, jobs: int) -> Iterator[str]:
 
 def forgotten(numbers: range, jobs: int) -> Iterator[str]:
     """Let templates forget each trait of calls, and none; yield the wrong machines that were proved, and the right ones that were not."""
+    parts = [numbers[first : first + 500] for first in range(0, len(numbers), 500)]
     with ProcessPoolExecutor(jobs) as pool:
-        for trait in ("", *TRAITS):
-            parts = [numbers[first : first + 500] for first in range(0, len(numbers), 500)]
-            reports = [*pool.map(partial(run_forgotten, trait), parts)]
+        begun = {trait: [pool.submit(run_forgotten, trait, part) for part in parts] for trait in ("", *TRAITS)}
+        for trait, futures in begun.items():
+            reports = [future.result() for future in futures]
             wrong, refused = sum(report.wrong for report in reports), sum(report.refused for report in reports)
             print(f"forgotten {trait or 'nothing'}: {wrong} wrong machines, {refused} times refused, by blocks or by name", flush=True)
             yield from (complaint for report in reports for complaint in report.complaints)
