@@ -41,7 +41,7 @@ def pytest_xdist_setupnodes(config: pytest.Config) -> None:
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Spread the files whose tests mostly wait for other processes among the others, so that the processors always have work.
 
-    Those over ROS have a second try, as in the continuous integration of ROS 2 itself; the summary lists who needed it.
+    Those over ROS have a second try, as in the continuous integration of ROS 2 itself; the summary says who needed it, and why.
     """
     for item in items:
         if any(folder in item.path.parents for folder in OVER_ROS):
@@ -55,6 +55,13 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     for place, file in reversed(places):
         others.insert(place, file)
     items[:] = [item for file in others for item in files[file]]
+
+
+def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
+    """Say why tests were run again: what fails now and then is to be understood as well."""
+    for report in terminalreporter.getreports("rerun"):
+        terminalreporter.write_sep("_", f"run again: {report.nodeid}")
+        terminalreporter.write_line(report.longreprtext)
 
 
 @pytest.hookimpl(wrapper=True)
