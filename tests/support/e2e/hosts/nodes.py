@@ -38,6 +38,8 @@ GOALS: Final = ("(and (at r1 d) (at r2 d) (at r3 d))", "(and (at r1 a) (at r2 a)
 """There and back."""
 CALLS: Final = 9
 """Calls of the plan for one of them, each of which is another one."""
+LAST: Final = 3
+"""The last ones, side by side."""
 HOSTS: Final = ("one", "two")
 """The hosts that have a node."""
 FENCED: Final = 3
