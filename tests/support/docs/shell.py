@@ -19,7 +19,6 @@ from planner_bridge.planning import kairos
 from tests.support.docs.page import Step
 from tests.support.files import ROOT
 
-
 _PROCESSOR = SimpleNamespace(monotonic=time.process_time, process_time=time.process_time)
 """The time for better plans is that of the processor: the plans are the same however busy the machine is."""
 
