@@ -14,6 +14,7 @@ from typing import Final
 from planner_bridge.model.grounding import initial_knowledge
 from planner_bridge.model.plan import Plan, PlanningResult, PlanningStatus, Policy
 from planner_bridge.model.problem import Domain, Problem
+from planner_bridge.model.progression import stretch
 from planner_bridge.model.world import simulated_backend
 from planner_bridge.ordering.plan_to_graph import plan_graph
 from planner_bridge.pipeline.achieve import carry_out
@@ -65,7 +66,7 @@ def odds_of_goal(
     if not seconds or (alone and (alone.chance == 1.0 or not settings.limits.replans)):
         return GoalOdds(alone, None, calls or ())
     first, spent = (
-        PlanningResult(PlanningStatus.SOLVED, plan, policy=policy),
+        PlanningResult(PlanningStatus.SOLVED, stretch(problem, plan), policy=policy),
         used_up(problem.domain) if faults == NO_FAULTS else frozenset(),
     )
     world, memory = known.world(attempts, spent), RememberedPlans(problem, first, time.process_time() + seconds)

@@ -10,6 +10,7 @@ from hypothesis import given, settings, strategies as st
 
 from planner_bridge.model import plan
 from planner_bridge.model.grounding import initial_knowledge
+from planner_bridge.model.plan import Plan, PlanStep
 from planner_bridge.model.problem import Problem
 from planner_bridge.ordering.plan_to_graph import stretch_graph
 from planner_bridge.pddl import parse_domain, parse_problem
@@ -106,6 +107,21 @@ def test_exact_odds_are_those_of_runs_of_the_machine() -> None:
     assert abs(rolled.chance - odds.chance) < 4.0 * sqrt(0.25 / 150)
     means = [sum(each.times) / len(each.times) for each in (rolled, odds)]
     assert means[0] == pytest.approx(means[1], abs=0.7)
+
+
+def test_new_plans_bring_nothing_where_no_call_fails() -> None:
+    domain = """(define (domain vending) (:requirements :adl :probabilistic-effects) (:predicates (coin) (drink) (jammed))
+      (:action insert :parameters () :precondition (not (jammed)) :effect (probabilistic 0.5 (coin)))
+      (:action press :parameters () :precondition (coin) :effect (and (not (coin)) (probabilistic 0.6 (drink) 0.4 (jammed)))))"""
+    problem = parse_problem("(define (problem p) (:domain vending) (:init) (:goal (drink)))", parse_domain(domain))
+    policy, never = solve(problem).policy, Fault("insert", FaultKind.ABORT, chance=0.0)
+    assert policy is not None
+    plan = Plan((PlanStep("insert", outcome="1"), PlanStep("press", outcome="1")))
+    odds = odds_of_goal(problem, plan, Settings(improve=0.0), Faults((never,)), policy=policy, seconds=600.0, most=50)
+    assert odds.alone is not None
+    assert odds.rolled is not None
+    assert odds.alone.chance == pytest.approx(0.6)
+    assert odds.rolled.chance == pytest.approx(0.6, abs=0.02), "what outcomes lead to is no new plan"
 
 
 def test_outcomes_that_nothing_tells_apart_have_no_exact_odds() -> None:
