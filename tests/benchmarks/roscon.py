@@ -3,6 +3,9 @@
 Each seed is a run on a world in this process, without drawing or waiting. Three ways are taken: the real planner and executor, with the
 household's bindings and sensors; the workshop's own behaviour tree; and a tree by hand with py_trees. Whether the goal is reached is judged
 by the simulator's own state: a run that says so wrongly is a false success. Driving is in seconds at the speed of the robot.
+
+With --mishaps, doors prove to be locked and grasps drop things. Then the ways are planner and executor with a domain that declares what
+may come of actions, and with one that does not.
 """
 
 from __future__ import annotations
@@ -20,20 +23,24 @@ from itertools import repeat
 from pathlib import Path
 from statistics import mean, median
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, TypeAlias
 
 from pyrobosim.core import World
 
 from planner_bridge.explanations.learning import learn
 from planner_bridge.model.rates import NO_RATES, Rates
 from planner_bridge.planning.kairos import LONGEST
-from tests.support.e2e.household.in_process import in_world, pursue
+from tests.support.e2e.household.in_process import SimulatorBackend, in_world, pursue
+from tests.support.e2e.household.mishaps import with_mishaps
 from tests.support.e2e.household.simulator import Work, counted, has_reached, load_world, without_waiting
 from tests.support.e2e.household.workshop_tree import WorkshopTree
 from tests.support.files import ROOT, SHARED
 
 if TYPE_CHECKING:
     from tests.support.e2e.household.tree_by_hand import TreeByHand
+
+Begin: TypeAlias = Callable[[int, int, Path | None], SimulatorBackend]
+"""Returns the robots of a problem's world, given the problem, the seed and the folder of worlds."""
 
 PROBLEMS: Final = (1, 2, 3, 4)
 OURS: Final = "planned and executed"
@@ -60,19 +67,19 @@ class Trial:
     """Of a failure."""
 
 
-def taught(settings: Mapping[str, Any], problem: int, folder: Path | None, seeds: Sequence[int]) -> Rates:
+def taught(settings: Mapping[str, Any], begin: Begin, problem: int, folder: Path | None, seeds: Sequence[int]) -> Rates:
     """Return what runs with these seeds teach."""
     rates = NO_RATES
     for seed in seeds:
         with TemporaryDirectory() as kept:
-            pursue(in_world(problem, seed, folder), Path(kept) / "a.journal", **settings, learned=rates)
+            pursue(begin(problem, seed, folder), Path(kept) / "a.journal", **settings, learned=rates)
             rates = learn(Path(kept) / "a.journal", rates)
     return rates
 
 
-def our_way(settings: Mapping[str, Any], problem: int, folder: Path | None, seed: int) -> Trial:
+def our_way(settings: Mapping[str, Any], begin: Begin, problem: int, folder: Path | None, seed: int) -> Trial:
     """Pursue the goal with planner, executor and replanning."""
-    backend, began = in_world(problem, seed, folder), time.perf_counter()
+    backend, began = begin(problem, seed, folder), time.perf_counter()
     result = pursue(backend, **settings)
     seconds, reached = time.perf_counter() - began, has_reached(backend.world, problem)
     is_fine, is_spent = result.goal_reached and reached, backend.work.battery <= 0
@@ -137,11 +144,15 @@ def main() -> None:
         "--worlds", type=Path, help="folder of world1.yaml to world4.yaml; else the workshop's, else a house of this project"
     )
     parser.add_argument("--jobs", type=int, default=1, help="processes")
+    parser.add_argument("--mishaps", action="store_true", help="doors prove to be locked, and grasps drop things")
     parser.add_argument("--only-ours", action="store_true", help="only planner and executor")
     options = parser.parse_args()
     settings = {"improve": options.improve}
+    begins: dict[str, Begin] = {OURS: in_world}
+    if options.mishaps:
+        begins = {name: partial(with_mishaps, is_declared=name == "outcomes declared") for name in ("outcomes declared", "not declared")}
     others: dict[str, Callable[[int, Path | None, int], Trial]] = {}
-    if not options.only_ours:
+    if not (options.only_ours or options.mishaps):
         if (trees := options.workshop / TREES).is_dir():
             others["the workshop's tree"] = partial(tree_way, partial(workshop_tree, trees))
         else:
@@ -159,12 +170,15 @@ def main() -> None:
     with ProcessPoolExecutor(options.jobs) as processes:
         for problem in [options.problem] if options.problem else PROBLEMS:
             trials: dict[str, list[Trial]] = {}
-            ours = {OURS: partial(our_way, {**settings, "learned": taught(settings, problem, worlds, before)})}
+            ours = {
+                name: partial(our_way, {**settings, "learned": taught(settings, begin, problem, worlds, before)}, begin)
+                for name, begin in begins.items()
+            }
             for name, way in {**ours, **others}.items():
                 trials[name] = list(processes.map(way, repeat(problem), repeat(worlds), seeds))
                 show(problem, name, trials[name])
             for name in list(trials)[1:]:
-                compare(trials[OURS], name, trials[name])
+                compare(trials[next(iter(ours))], name, trials[name])
 
 
 if __name__ == "__main__":

@@ -14,6 +14,7 @@ from planner_bridge.planning.validate import why_invalid
 from planner_bridge.tasks.result import TaskResult
 from pnm.core.logic.conditions import Holds
 from tests.support.e2e.household.in_process import HOUSEHOLD, SimulatorBackend, in_world, problem_of, pursue
+from tests.support.e2e.household.mishaps import with_mishaps
 from tests.support.e2e.household.simulator import has_reached
 
 
@@ -82,6 +83,16 @@ def test_no_drive_leads_to_work_for_which_the_battery_does_not_last() -> None:
         near = replace(problem, init={**problem.init, ("battery", "robot"): charge, ("open", "hall_closet_dining"): True})
         drive = Plan((PlanStep("navigate", ("robot", "dining", "pantry", "kitchen")),))
         assert (not why_invalid(replace(near, goal=Holds(("at", "robot", "pantry"))), drive)) is goes
+
+
+def test_what_has_dropped_is_detected_without_a_new_plan_where_the_domain_says_that_it_may_drop() -> None:
+    result = pursued(3, with_mishaps(3, seed=1, is_declared=True))
+    assert result.goal_reached
+    assert (result.plans, result.replans, result.failures) == (1, 0, ())
+    ends = [(call.call.action.name, call.declared) for call in result.calls]
+    after = ends.index(("pick", "dropped")) + 1
+    assert ends[after][0] == "detect", "which nothing else asks for"
+    assert {one for one in ends if one[0] == "pick"} >= {("pick", "done"), ("pick", "nothing")}
 
 
 def test_a_door_that_falls_shut_is_opened_again() -> None:

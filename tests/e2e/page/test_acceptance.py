@@ -22,6 +22,7 @@ from tests.support.e2e.page.journals import steps
 from tests.support.e2e.page.serving import announced, asked
 from tests.support.e2e.plan_deployment import ClientProgram, Serving
 from tests.support.files import ROOT, written
+from tests.support.runs.files import CUPS, DROPS, TOLD
 
 FAULTS = (ROOT / "problems" / "delivery" / "faults.yaml").read_text(encoding="utf-8")
 STUCK = "  - {call: 'move(r2, hall, yard)', do: hang, times: 1}\n"
@@ -57,10 +58,15 @@ def node(deploy_for_module: Callable[..., ProblemDeployment]) -> Node:
 
 def serve(deployment: ProblemDeployment, *more: str) -> Node:
     deployment.simulate().ready()
+    return begun(deployment, *more)[1]
+
+
+def begun(deployment: ProblemDeployment, *more: str) -> tuple[Serving, Node]:
+    """Start a node, or another one that goes on with its journal."""
     journal = deployment.folder / "node.journal"
     options = ["--view=0", "--view-controls", "--ask-for-help", "--journal", str(journal), *more]
     serving = deployment.pnm(Serving, "serve", *deployment.files, *options).ready()
-    return Node(announced(serving.err), journal)
+    return serving, Node(announced(serving.err), journal)
 
 
 @pytest.fixture(scope="module")
@@ -175,6 +181,25 @@ def goes_back(page: Page) -> None:
     page.get_by_role("button", name="Live").click()
     expect(page.locator("#status")).to_have_text("● live")
     expect(page.locator("#commands")).to_be_visible()
+
+
+def test_outcomes_are_seen_also_in_a_node_that_goes_on_with_a_policy(page: Page, deploy: Callable[..., ProblemDeployment]) -> None:
+    deployment = deploy("cups", texts=CUPS, faults=DROPS, bindings=f"{TOLD}assumed: [held, floor, table]\n", speed="2", quick=True)
+    simulation = deployment.simulate().ready()
+    first, node = begun(deployment)
+    page.goto(node.url)
+    send(page, "(held mug)")
+    simulation.happens("start", "lift")
+    expect(page.locator("#lanes .bar", has_text="pick(mug): 2")).to_have_count(1)
+    page.goto("about:blank")  # a page without its node says so on the console
+    first.process.kill()
+    _, node = begun(deployment)
+    page.goto(node.url)
+    expect(page.locator(".task").first).to_contain_text("goal reached")
+    import time; time.sleep(2)
+    open("/tmp/h29/page.html","w").write(page.content()); page.screenshot(path="/tmp/h29/page.png", full_page=True)
+    for outcome, times in ((1, 1), (2, 1), (3, 1)):
+        expect(page.locator("#lanes .bar", has_text=f"pick(mug): {outcome}")).to_have_count(times)
 
 
 def test_a_task_is_paused_makes_a_step_goes_on_and_is_cancelled(page: Page, node: Node) -> None:

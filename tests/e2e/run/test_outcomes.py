@@ -8,35 +8,15 @@ from collections import Counter
 import pytest
 
 from tests.support.e2e.command_line import pnm
+from tests.support.runs.files import CUPS, DROPS, TOLD
 
-DOMAIN = """
-(define (domain cups) (:requirements :strips :typing :non-deterministic) (:types cup)
-  (:predicates (table ?c - cup) (held ?c - cup) (floor ?c - cup))
-  (:action pick :parameters (?c - cup) :precondition (table ?c)
-    :effect (oneof (and (held ?c) (not (table ?c))) (and (floor ?c) (not (table ?c))) (and)))
-  (:action lift :parameters (?c - cup) :precondition (floor ?c) :effect (and (table ?c) (not (floor ?c)))))"""
-PROBLEM = "(define (problem p) (:domain cups) (:objects mug - cup) (:init (table mug)) (:goal (held mug)))"
-FAULTS = """
-faults:
-  - {action: pick, outcome: "2", times: 1}
-  - {action: pick, outcome: "3", after: 1, times: 1}
-  - {action: pick, outcome: "1", after: 2}
-"""
-TOLD = """
-actions:
-  pick:
-    server: gripper
-    type: porter_msgs/action/Grip
-    goal: {object: "?c", close: true}
-    outcomes: {"1": {field: code, eq: DONE}, "2": {field: code, eq: SLIPPED}, "3": {field: code, eq: OUT_OF_REACH}}
-"""
 ASSUMED = "assumed: [held, floor, table]\n"
 WENT = ["pick: 2", "lift: succeeded", "pick: 3", "pick: 1"]
 
 
 @pytest.mark.parametrize("bindings", [f"{TOLD}{ASSUMED}", "actions: {}\n"], ids=["by its code", "by sensors alone"])
 def test_what_follows_goes_by_the_outcome_that_was_told_or_reported(deploy, bindings):
-    finished = deploy("cups", texts=(DOMAIN, PROBLEM), faults=FAULTS, bindings=bindings).execute()
+    finished = deploy("cups", texts=CUPS, faults=DROPS, bindings=bindings).execute()
     result = finished.result
     assert (finished.status, result["goal_reached"], result["replans"], result["failures"]) == (0, True, 0, []), result
     assert [f"{call['action']}: {call['outcome']}" for call in result["calls"]] == WENT
@@ -44,7 +24,7 @@ def test_what_follows_goes_by_the_outcome_that_was_told_or_reported(deploy, bind
 
 
 def test_a_run_that_is_killed_goes_on_from_what_came_about(deploy):
-    deployment = deploy("cups", texts=(DOMAIN, PROBLEM), faults=FAULTS, bindings=f"{TOLD}{ASSUMED}", speed="2")
+    deployment = deploy("cups", texts=CUPS, faults=DROPS, bindings=f"{TOLD}{ASSUMED}", speed="2")
     finished = deployment.execute_killed("lift")
     assert (finished.status, finished.result["plans"], finished.result["replans"]) == (0, 1, 0), finished.result
     assert [f"{call['action']}: {call['outcome']}" for call in finished.result["calls"]] == WENT

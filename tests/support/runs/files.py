@@ -1,4 +1,4 @@
-"""Files of bindings and faults that are refused, and an action they are about; and a domain in which robots find what nobody knew."""
+"""Files of bindings and faults that are refused, and an action they are about; domains in which robots find or drop things."""
 
 from __future__ import annotations
 
@@ -60,3 +60,30 @@ actions:
       simulated: {of: "?room", table: {kitchen: [{name: mug}, {name: glass 2}], hall: [{name: "7"}]}}
 """
 """Its bindings, with what there is to be found."""
+
+CUPS: tuple[str, str] = (
+    """
+(define (domain cups) (:requirements :strips :typing :non-deterministic) (:types cup)
+  (:predicates (table ?c - cup) (held ?c - cup) (floor ?c - cup))
+  (:action pick :parameters (?c - cup) :precondition (table ?c)
+    :effect (oneof (and (held ?c) (not (table ?c))) (and (floor ?c) (not (table ?c))) (and)))
+  (:action lift :parameters (?c - cup) :precondition (floor ?c) :effect (and (table ?c) (not (floor ?c)))))""",
+    "(define (problem p) (:domain cups) (:objects mug - cup) (:init (table mug)) (:goal (held mug)))",
+)
+"""Domain and problem: a grasp holds a cup, drops it or misses it."""
+DROPS: str = """
+faults:
+  - {action: pick, outcome: "2", times: 1}
+  - {action: pick, outcome: "3", after: 1, times: 1}
+  - {action: pick, outcome: "1", after: 2}
+"""
+"""Faults: the first grasp drops it, the second one misses it, the third one holds it."""
+TOLD: str = """
+actions:
+  pick:
+    server: gripper
+    type: porter_msgs/action/Grip
+    goal: {object: "?c", close: true}
+    outcomes: {"1": {field: code, eq: DONE}, "2": {field: code, eq: SLIPPED}, "3": {field: code, eq: OUT_OF_REACH}}
+"""
+"""Bindings by which the code of the result tells which it was."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
 from typing import Any, Final
@@ -74,7 +74,7 @@ class SimulatorBackend(ClientBackend):
             knowledge.sense((name,), lag=0.0)
         self._knowledge = knowledge
         self._sensors = instances(self.sensing, knowledge.objects)
-        self._report()
+        self.report(self._knowledge)
 
     def goal_fields(self, action: GroundAction, /) -> tuple[str, ...]:
         """Return the fields of an `ExecuteTaskAction` goal."""
@@ -87,20 +87,25 @@ class SimulatorBackend(ClientBackend):
     def cancel(self, request: UUID, /) -> None:
         """Do nothing: what was accepted ends by itself."""
 
+    def act(self, action: Mapping[str, Any]) -> ExecutionResult:
+        """Perform an action, given its fields."""
+        return perform(self.world, action)
+
     def _perform(self, request: Request, report: Reporter) -> None:
         report(Accepted(request.id))
-        before, result = self.work.driving, perform(self.world, request.goal["action"])
+        before, result = self.work.driving, self.act(request.goal["action"])
         asyncio.get_running_loop().call_later(self.work.driving - before, self._end, request, report, result)
 
     def _end(self, request: Request, report: Reporter, result: ExecutionResult) -> None:
         self.performed(request.goal["action"]["type"])
-        self._report()
+        self.report(self._knowledge)
         ended = Outcome(OutcomeKind.SUCCEEDED, {"execution_result": {"status": int(result.status), "message": result.message or ""}})
         report(Ended(request.id, self.bindings.of(request.action.name).judged(ended)))
 
-    def _report(self) -> None:
+    def report(self, knowledge: KnowledgeBase) -> None:
+        """Report the state of the world."""
         answer = {"state": world_state(self.world)}
         for sensor in self._sensors:
-            reading = read(sensor, partial(value_in, answer), self._knowledge.objects)
+            reading = read(sensor, partial(value_in, answer), knowledge.objects)
             assert not reading.unread, reading.unread
-            self._knowledge.update(reading.facts)
+            knowledge.update(reading.facts)
