@@ -18,7 +18,7 @@ from typing import Final, NamedTuple, assert_never
 from uuid import UUID
 
 from planner_bridge.model.progression import snapshot
-from planner_bridge.tasks.replanning import Decision, decision_words
+from planner_bridge.tasks.replanning import Decision, Foreseen, decision_words
 from planner_bridge.tasks.result import TASKS, GoalNote, PolicyNote, TaskCounts
 from pnm.clock import TimeUsed
 from pnm.core.execution.call_results import Became, CallResult, Explanation, Hindered, Sent, action_with, sent_with
@@ -139,6 +139,8 @@ class RunHistory:
     """The troubles that nothing has followed yet, in their order."""
     is_decided: bool = False
     """Whether it is known which decision it has followed."""
+    is_foreseen: bool = False
+    """Whether it is no replan: with a better rest of the plan, or after a declared outcome."""
 
     @property
     def id(self) -> UUID:
@@ -268,7 +270,8 @@ class TaskHistory:
         """Counts of events."""
         own = self.own_runs
         requests, failures = sum(run.requests for run in own), sum(len(run.failures) for run in own)
-        return TaskCounts(self.plans, max(0, len(own) - 1), requests, failures, has_run=bool(own))
+        replans = sum(not run.is_foreseen for run in own[1:])
+        return TaskCounts(self.plans, replans, requests, failures, has_run=bool(own))
 
 
 def beginning(kept: KeptJournal, number: float, reach: int = 1) -> int:
@@ -488,6 +491,7 @@ class JournalHistory:
                     last = task.own_runs[-1] if task.own_runs else None
                     if last and last.replan and not last.is_decided and last.results is None:
                         last.replan, last.is_decided = replace(last.replan, why=decision_words(decision)), True
+                        last.is_foreseen = isinstance(decision, Foreseen)
                     else:
                         task.decision = decision
             case PolicyNote():
@@ -522,7 +526,7 @@ class JournalHistory:
                 before = task.own_runs[-2]
                 left = (str(result.call.action) for result in before.last_results.values() if not result.is_done)
                 run.replan = replan(decision_words(task.decision), left, (str(call.action) for call in source.plan.calls))
-                run.is_decided = task.decision is not None
+                run.is_decided, run.is_foreseen = task.decision is not None, isinstance(task.decision, Foreseen)
                 before.follow(run.replan.why)
             task.decision = None
 

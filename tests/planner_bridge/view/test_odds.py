@@ -83,6 +83,14 @@ def test_odds_count_with_what_the_policy_has_after_each_outcome(tmp_path: Path, 
     assert len(looked) == 2, "a policy is looked at once for each stretch"
 
 
+def test_what_follows_a_declared_outcome_is_no_replan(tmp_path: Path) -> None:
+    result = achieve(None, RIVER, faults=Faults(drawn=to_the_island), journal=tmp_path / "journal")
+    view = Reader(tmp_path / "journal").newest()
+    (task,) = view.tasks.values()
+    assert (result.replans, len(task["runs"])) == (0, 2)
+    assert task["counts"] == str(result.counts)
+
+
 def test_where_nothing_is_known_there_are_no_odds(delivery: Path) -> None:
     reader = Reader(delivery)
     views = (reader.at(step.number, view_of) for step in steps(delivery))
