@@ -29,6 +29,8 @@ WAYS: Final = (("ff", 0.2), (_OWN, 0.5), ("eager-lama", 1.0), (_OWN, 5.0))
 """Ways of searching in Kairos, and the seconds that each gets; its own one also proves that there is no plan."""
 _LONGER: Final = 2.0
 """How much longer than the longest search that found a plan all ways together may take: most that take longer find none."""
+_FIRST: Final = 1.0
+"""Seconds that each way gets at least as long as none has found a plan; then, as long as the longest search that did."""
 _SHORT: Final = 0.7
 """Seconds that they may take in any case."""
 
@@ -85,7 +87,7 @@ class OutcomePlanner:
         for way, seconds in ways:
             if status is kairos.Status.UNSOLVABLE and way != _OWN:
                 continue
-            limit = min(seconds, until - time.monotonic())
+            limit = min(max(seconds, self._longest or _FIRST), until - time.monotonic())
             if limit <= 0.0:
                 raise OutOfTime
             search: kairos.Search = self._planner.start(parsed, timeout=limit, anytime=False, threads=1, search=way)
