@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import product
 from math import ceil, log10, prod
+from statistics import mean
 from types import MappingProxyType
 from typing import Final
 
@@ -14,11 +15,11 @@ from planner_bridge.model.guards import unused_name
 from planner_bridge.model.plan import Plan
 from planner_bridge.model.problem import Domain, Metric, Problem, once_per_domain
 from planner_bridge.model.progression import calls_of
-from planner_bridge.model.rates import NO_RATES, Basis, Call, Chance, Rates
+from planner_bridge.model.rates import BEFORE, NO_RATES, Basis, Call, Chance, Counts, Rates
 from planner_bridge.ordering.plan_to_graph import plan_graph
 from pnm.core.logic.domain import ActionSchema, Declaration
 from pnm.core.logic.effects import Alternative, Set
-from pnm.core.logic.expressions import ValueOf
+from pnm.core.logic.expressions import Fluent, Value, ValueOf, bind, is_number
 from pnm.core.machine.bindings import NO_BINDINGS, Bindings, placeholders
 from pnm.core.machine.plan_graph import GroundAction, PlanGraph, PlanGraphError
 
@@ -34,6 +35,8 @@ class ExpectedTimes:
 
     bindings: Bindings = NO_BINDINGS
     learned: Rates = NO_RATES
+    known: Mapping[Fluent, Value] = field(default_factory=dict)
+    """The values of the functions that bindings name for seconds."""
 
     @cached_property
     def _found(self) -> dict[tuple[str, tuple[str, ...], float | None], float]:
@@ -46,17 +49,19 @@ class ExpectedTimes:
         Of a call that was never made while others of its action were, these are what most of them take: else plans would be made of the
         calls whose time is guessed too short.
 
-        Those of an attempt are learned, else as the domain says, else as the binding says, else `ASSUMED_SECONDS`. All attempts succeed
-        as long as nothing else was learned.
+        Those of an attempt are learned, else as the domain says, else as the binding says, else `ASSUMED_SECONDS`. A function of the
+        problem says it for each call: what was learned of others does not count then. All attempts succeed as long as nothing else was
+        learned.
         """
         key = action.name, action.arguments, action.duration
         if key not in self._found:
-            binding = self.bindings.of(action.name)
-            declared = binding.seconds if action.duration is None else action.duration
-            call = self._call(action)
-            chance, lasts = self.learned.chance(call), self.learned.mean(call, declared)
-            own = self.learned.groups.get(call.group[: 2 + self.told_apart.get(call.action, 0)])
-            if call.arguments and call.action in self.told_apart and not (own and own.took.n):
+            declared, call, depth = self.declared(action), self._call(action), self.depth(action.name, action.parameters)
+            chance, own = self.learned.chance(call), self.learned.groups.get(call.group[: 2 + depth], Counts()).took
+            if declared is not None and action.duration is None and isinstance(self.bindings.of(action.name).seconds, tuple):
+                lasts = (own.total / 1000.0 + BEFORE * declared) / (own.n + BEFORE)
+            else:
+                lasts = self.learned.mean(call, declared)
+            if declared is None and call.arguments and call.action in self._learned_apart and not own.n:
                 lasts = max(lasts, self.learned.seconds(Call("", call.action), declared).quantile(UNMADE))
             if chance.rests.basis is Basis.LEARNED:
                 lasts += (1.0 / chance.success - 1.0) * self.learned.mean(call, declared, succeeded=False)
@@ -75,10 +80,38 @@ class ExpectedTimes:
         """Return the expected seconds of the calls of an action that begin with these arguments."""
         return self.expected(GroundAction(schema.name, arguments, schema.names[: len(arguments)]))
 
+    def declared(self, action: GroundAction) -> float | None:
+        """Return the seconds of a call as the domain or the binding says; None if neither does.
+
+        They are the mean of all calls that begin so, and where the function that the binding names has no value those of the longest.
+        """
+        seconds = self.bindings.of(action.name).seconds
+        if action.duration is not None:
+            return action.duration
+        if not isinstance(seconds, tuple):
+            return seconds
+        own = bind(seconds, {f"?{name}": value for name, value in zip(action.parameters, action.arguments, strict=True)})
+        if is_number(value := self.known.get(own)):
+            return float(value)
+        times = {fluent: float(value) for fluent, value in self.known.items() if fluent[0] == own[0] and is_number(value)}
+        named = [(place, name) for place, name in enumerate(own) if not name.startswith("?")]
+        alike = [time for fluent, time in times.items() if all(fluent[place] == name for place, name in named)]
+        return mean(alike) if alike else max(times.values(), default=None)
+
     @cached_property
-    def told_apart(self) -> dict[str, int]:
-        """For actions of which something was learned, the number of first arguments by which their calls are told apart."""
+    def _learned_apart(self) -> dict[str, int]:
         return {call.action: len(call.arguments) for call in self.learned.calls}
+
+    def depth(self, action: str, parameters: Sequence[str]) -> int:
+        """Return the number of first arguments by which calls of an action are told apart."""
+        seconds = self.bindings.of(action).seconds
+        named = {term[1:] for term in seconds[1:]} if isinstance(seconds, tuple) else set[str]()
+        return max([self._learned_apart.get(action, 0), *(number for number, name in enumerate(parameters, 1) if name in named)])
+
+    @property
+    def tell_apart(self) -> bool:
+        """Whether calls of one action may take differently long."""
+        return bool(self.learned.calls) or any(isinstance(binding.seconds, tuple) for binding in self.bindings.actions.values())
 
     def are_measure(self, problem: Problem) -> bool:
         """Return whether plans are measured by them: the domain has no metric and no times, and something is known about its actions."""
@@ -139,7 +172,7 @@ def priced(problem: Problem, rates: ExpectedTimes, *, by_call: bool = False) -> 
     prices, known = dict[str, dict[tuple[str, ...], float]](), problem.objects_by_type
     for schema in problem.domain.actions.values():
         able = [[name for kind in variable.types for name in known.get(kind, ())] for variable in schema.parameters]
-        able = able[: by_call * rates.told_apart.get(schema.name, 0)]
+        able = able[: by_call * rates.depth(schema.name, [variable.name[1:] for variable in schema.parameters])]
         while prod(map(len, able)) > MOST_PRICES:
             able.pop()
         prices[schema.name] = {arguments: rates.of(schema, arguments) for arguments in product(*able)}

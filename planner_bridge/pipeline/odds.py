@@ -368,7 +368,8 @@ def learned(rates: Rates, bindings: Bindings) -> Attempts:
     def attempts(action: GroundAction) -> AttemptOdds:
         call, binding, endings = Call.of(action, bindings), bindings.of(action.name), list[AttemptEnd]()
         chance, is_asked = rates.chance(call), binding.when_lost is WhenLost.ABORT
-        lasts = binding.seconds if action.duration is None else action.duration
+        says = None if isinstance(binding.seconds, tuple) else binding.seconds  # what the problem says of them is for planners
+        lasts = says if action.duration is None else action.duration
         for end in chance.weights:
             leads = Leads.DONE if end is End.SUCCEEDED else Leads.AGAIN
             if end is End.ABORTED_FOR_GOOD or (end is End.LOST and is_asked):

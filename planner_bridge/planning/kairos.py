@@ -201,7 +201,7 @@ def search_with_kairos(
     if known is not None and not best.take(known):
         search.stop()
         return PlanningResult(PlanningStatus.INVALID_PLAN, message="the known plan does not solve the problem", planner=DEFAULT_PLANNER)
-    by_call = rates is not None and rates.are_measure(problem) and bool(rates.learned.groups)
+    by_call = rates is not None and rates.are_measure(problem) and rates.tell_apart
     while not (cancel.is_set() or best.is_at(least)) and (now := time.monotonic()) < deadline:
         is_alone = search.running() and time.process_time() < alone
         if not is_alone and next(parts, False):
@@ -250,7 +250,7 @@ def search_with_kairos(
     is_best = not search.running() and search.stop_reason is kairos.StopReason.PROVEN_OPTIMAL
     is_best &= weighed is parsed or search is not searches[0]
     if rates is not None and rates.are_measure(problem):  # proved is that no plan has less work, if every call of an action takes as long
-        is_best &= rates.have_turns(problem) and not rates.learned.groups
+        is_best &= rates.have_turns(problem) and not rates.tell_apart
     for started in searches:
         started.stop()
     best.of(searches)  # the searches end some milliseconds later

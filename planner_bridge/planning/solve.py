@@ -96,7 +96,7 @@ def solve(
         from planner_bridge.ordering.robot_time import ExpectedTimes
         from pnm.core.machine.bindings import NO_BINDINGS
 
-        rates = ExpectedTimes(bindings or NO_BINDINGS, learned or NO_RATES)
+        rates = ExpectedTimes(bindings or NO_BINDINGS, learned or NO_RATES, problem.init)
     if problem.domain.uncertain:
         if problem.has_tasks:
             message = "task networks with actions that have several outcomes"

@@ -168,7 +168,7 @@ class PlanSearch:
         is_wanted = not is_virtual() if settings.improve is None else settings.improve > 0.0
         if self._is_best or not (is_wanted and can_be_improved(context.problem, settings.planner)):
             return
-        stop, rates = threading.Event(), ExpectedTimes(settings.bindings, settings.learned)
+        stop, rates = threading.Event(), ExpectedTimes(settings.bindings, settings.learned, context.problem.init)
         token = _EitherToken(self._control.planner_stop, stop)
         find = partial(solve, timeout=settings.planner_timeout, cancel=token, bindings=settings.bindings, learned=settings.learned)
 

@@ -96,7 +96,12 @@ class BindingKeys(Keys):
         '`{field: objects, type: cup, facts: ["(in ?found ?room)"], limit: 10}`',
         "none",
     )
-    seconds = number("seconds that the action is expected to take, where the domain gives no duration: plans are measured by it", None, "1")
+    seconds = node(
+        {"type": ["number", "string", "null"], "minimum": 0},
+        "seconds that the action is expected to take, where the domain gives no duration: plans are measured by it. "
+        "A number, or a function of the problem: `(drive_time ?from ?to)`",
+        "1",
+    )
     timeout = number(
         "seconds from acceptance until the goal is cancelled", None, "twice the planned duration, 10 at least; 60 without a duration"
     )
@@ -166,6 +171,9 @@ def bindings_in(top: Mapped, known: Vocabulary | None = None, *, strangers: bool
                 _check_sources(keys.goal, name, known)
             for outcome, where, _ in keys.told.entries():
                 known.check_outcome(name, outcome, where)
+            if isinstance(seconds := actions[name].seconds, tuple):
+                known.check_kind(seconds[0], FluentKind.NUMBER, entry.position("seconds"))
+                known.check_stored(name, seconds, entry.position("seconds"))
             for fluent, value in stored_fluents(keys.store, entry):
                 known.check_stored(name, fluent, value.position)
         for name in () if strangers else file.assumed:
@@ -181,6 +189,14 @@ def stored_fluents(store: Mapping[str, str], entry: Mapped) -> Iterator[tuple[Fl
             with located(value.position):
                 fluent = parse_fluent(target)
             yield fluent, value
+
+
+def _seconds(keys: BindingKeys) -> float | Fluent | None:
+    """Read how long an action is expected to take: a number, or a function of its parameters."""
+    if keys.seconds is None or keys.seconds.text is None or not keys.seconds.text.startswith("("):
+        return keys.entry.number("seconds", None)
+    with located(keys.seconds.position):
+        return parse_fluent(keys.seconds.text)
 
 
 def _found(keys: FoundKeys, action: str, known: Vocabulary | None) -> Found:
@@ -230,7 +246,7 @@ def read_binding(keys: BindingKeys, action: str = "", known: Vocabulary | None =
         outcomes={name: field_test(test) for name, _, test in keys.told.entries()},
         store=store,
         found=None if keys.found is None else _found(FoundKeys(keys.found.mapped()), action, known),
-        seconds=keys.seconds,
+        seconds=_seconds(keys),
         timeout=keys.timeout,
         accept=keys.accept,
         cancel=keys.cancel,

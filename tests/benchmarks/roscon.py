@@ -32,7 +32,7 @@ from planner_bridge.model.rates import NO_RATES, Rates
 from planner_bridge.planning.kairos import LONGEST
 from tests.support.e2e.household.in_process import SimulatorBackend, in_world, pursue
 from tests.support.e2e.household.mishaps import with_mishaps
-from tests.support.e2e.household.simulator import Work, counted, has_reached, load_world, without_waiting
+from tests.support.e2e.household.simulator import Work, counted, drive_times, has_reached, load_world, without_waiting
 from tests.support.e2e.household.workshop_tree import WorkshopTree
 from tests.support.files import ROOT, SHARED
 
@@ -77,9 +77,12 @@ def taught(settings: Mapping[str, Any], begin: Begin, problem: int, folder: Path
     return rates
 
 
-def our_way(settings: Mapping[str, Any], begin: Begin, problem: int, folder: Path | None, seed: int) -> Trial:
-    """Pursue the goal with planner, executor and replanning."""
+def our_way(
+    settings: Mapping[str, Any], begin: Begin, times: Mapping[tuple[str, str], float], problem: int, folder: Path | None, seed: int
+) -> Trial:
+    """Pursue the goal with planner, executor and replanning; times are those of drives, if the planner knows them."""
     backend, began = begin(problem, seed, folder), time.perf_counter()
+    backend.tell(times)
     result = pursue(backend, **settings)
     seconds, reached = time.perf_counter() - began, has_reached(backend.world, problem)
     is_fine, is_spent = result.goal_reached and reached, backend.work.battery <= 0
@@ -139,6 +142,7 @@ def main() -> None:
     parser.add_argument("--problem", type=int, choices=PROBLEMS, help="only this one")
     parser.add_argument("--improve", type=float, default=LONGEST, help="as of pnm run; by default as for robots that take their time")
     parser.add_argument("--taught", type=int, default=0, help="how many runs before, of the seeds before the first, teach ours their rates")
+    parser.add_argument("--times", action="store_true", help="ours knows how long drives take, by drives without a goal before")
     parser.add_argument("--workshop", type=Path, default=ROOT.parent / "roscon24-workshop", help="the workshop's repository")
     parser.add_argument(
         "--worlds", type=Path, help="folder of world1.yaml to world4.yaml; else the workshop's, else a house of this project"
@@ -170,8 +174,9 @@ def main() -> None:
     with ProcessPoolExecutor(options.jobs) as processes:
         for problem in [options.problem] if options.problem else PROBLEMS:
             trials: dict[str, list[Trial]] = {}
+            times = drive_times(problem, worlds) if options.times else {}
             ours = {
-                name: partial(our_way, {**settings, "learned": taught(settings, begin, problem, worlds, before)}, begin)
+                name: partial(our_way, {**settings, "learned": taught(settings, begin, problem, worlds, before)}, begin, times)
                 for name, begin in begins.items()
             }
             for name, way in {**ours, **others}.items():

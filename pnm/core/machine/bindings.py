@@ -158,8 +158,9 @@ class Binding:
     """Result fields and the variables they are stored in, or the fluents that they set; every other field is stored by its own name."""
     found: Found | None = None
     """The objects that its result names."""
-    seconds: float | None = None
-    """Seconds that the action is expected to take where the domain does not say so; None if nobody knows."""
+    seconds: float | Fluent | None = None
+    """Seconds that the action is expected to take where the domain does not say so, or the function of its parameters that has them;
+    None if nobody knows."""
     timeout: float | None = None
     """Seconds from acceptance until the action is cancelled; by default twice the planned duration, 10 at least."""
     accept: float = 20.0
@@ -181,7 +182,8 @@ class Binding:
     """Its position in a file."""
 
     def __post_init__(self) -> None:
-        check_seconds(f"the binding of {self.server or 'an action'}", self.seconds, self.timeout, self.accept, self.cancel)
+        seconds = None if isinstance(self.seconds, tuple) else self.seconds
+        check_seconds(f"the binding of {self.server or 'an action'}", seconds, self.timeout, self.accept, self.cancel)
         check_counts(f"the binding of {self.server or 'an action'}", retries=self.retries)
 
     def judged(self, outcome: Outcome) -> Outcome:

@@ -74,7 +74,10 @@ def test_bindings_of_what_the_domain_does_not_have_are_refused(tmp_path: Path, c
 
 
 def test_bindings_of_what_the_domain_has_are_read(tmp_path: Path) -> None:
-    content = "actions: {move: {server: '{robot}', goal: {a: '?to', b: 'to', c: 1, d: $x}}}"
+    content = "actions: {move: {server: '{robot}', goal: {a: '?to', b: 'to', c: 1, d: $x}, seconds: '(temperature ?to)'}}"
+    assert read_bindings(written(tmp_path, content), WORDS).of("move").seconds == ("temperature", "?to")
+    content = content.replace("'(temperature ?to)'", "2")
+    assert read_bindings(written(tmp_path, content)).of("move").seconds == 2.0
     assert (
         read_bindings(written(tmp_path, content), Vocabulary({"move": dict.fromkeys(MOVE.parameters, ())})).of("move").server == "{robot}"
     )

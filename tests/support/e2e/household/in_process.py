@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any, Final
@@ -67,6 +68,18 @@ class SimulatorBackend(ClientBackend):
         self.performed: Callable[[str], None] = lambda kind: None
         self.sensing = read_sensing(HOUSEHOLD / "sensing.yaml", problem.vocabulary)
         self._sensors: tuple[Instance, ...] = ()
+
+    def tell(self, times: Mapping[tuple[str, str], float]) -> None:
+        """Tell planners how long drives take between places, besides what every action takes; nothing if there are none."""
+        if not times:
+            return
+        actions = dict(self.bindings.actions)
+        for name, target in (("navigate", "?to"), ("charge", "?charger")):
+            besides, actions[name] = actions[name].seconds or 0.0, replace(actions[name], seconds=("drive_time", "?from", target))
+            assert not isinstance(besides, tuple)
+            told = {("drive_time", *way): besides + seconds for way, seconds in times.items()}
+            self.problem = replace(self.problem, init={**self.problem.init, **told})
+        self.bindings = replace(self.bindings, actions=actions)
 
     async def open(self, knowledge: KnowledgeBase) -> None:
         """Report the state of the world, from now on after every action."""

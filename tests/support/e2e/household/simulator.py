@@ -8,6 +8,7 @@ import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
+from itertools import combinations
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, Final
@@ -65,6 +66,26 @@ def _house(problem: int) -> dict[str, Any]:
                 for action, (chance, usage) in CHANCES_AND_USAGES.items()
             }
     return house
+
+
+def drive_times(problem: int, folder: Path | None = None) -> dict[tuple[str, str], float]:
+    """Return the seconds of drives between the places of a problem's world with the doors of the dining room open: what was driven."""
+    world = load_world(problem, 0, folder)
+    (robot,) = world.robots
+    for options in robot.action_execution_options.values():
+        options.success_probability, options.battery_usage = 1.0, 0.0
+    for hallway in world.hallways:
+        if "dining" in hallway.name and not hallway.is_open:
+            world.open_location(hallway)
+    work, times, places = counted(world), dict[tuple[str, str], float](), [*world.rooms, *world.hallways, *world.locations]
+    with without_waiting():
+        for one, other in combinations([place.name for place in places], 2):
+            perform(world, asked(robot, "navigate", one))
+            before = work.driving
+            for place in (other, one):
+                perform(world, asked(robot, "navigate", place))
+            times[one, other] = times[other, one] = (work.driving - before) / 2.0
+    return times
 
 
 @contextmanager
