@@ -68,6 +68,8 @@ _NARROW: Final = 0.4
 """Share of the time for improvement for plans of calls like those of the best plan, of which there are few."""
 _SETTLED: Final = 0.1
 """Seconds of processor time of this process, without a better plan, after which they are looked for like those of the best one by then."""
+_TRIED: Final = 0.3
+"""The same after which, where calls of one action take differently long, the seconds of each are counted instead of the calls."""
 _TOGETHER: Final = 0.3
 """Share of the time for improvement for plans in which calls go on side by side, where these take less time."""
 _PATIENCE: Final = 1.0
@@ -175,8 +177,8 @@ def search_with_kairos(
     robots can work side by side, one more looks for plans with times, of which only the order of the calls is kept.
 
     Beside the first search, one looks among calls like those of the best plan, of which there are few: where a house has many places, it
-    finds in a tenth of the time what takes the first one seconds. It looks for few calls as well, and then, with learned rates, for little
-    time by the seconds of each call.
+    finds in a tenth of the time what takes the first one seconds. It looks for few calls as well, and then, where calls of one action take
+    differently long, for little time by the seconds of each call: the first search ends there.
 
     Where actions take differently long, the first search is for few calls all the same, which it finds much sooner; those that come
     beside it, or after it if it ends, are for little time.
@@ -192,7 +194,7 @@ def search_with_kairos(
     together: kairos.Search | None = None
     narrow: kairos.Search | None = None
     alike: Plan | None = None
-    is_priced = False
+    is_priced = is_pricing = False
     until, began, patience = time.monotonic() + timeout, time.process_time(), inf if improve == 0.0 else _PATIENCE
     helpers = iter(sorted(_BESIDE, key=_BESIDE.__getitem__, reverse=True))
     first = news = deadline = inf
@@ -203,7 +205,7 @@ def search_with_kairos(
         return PlanningResult(PlanningStatus.INVALID_PLAN, message="the known plan does not solve the problem", planner=DEFAULT_PLANNER)
     by_call = rates is not None and rates.are_measure(problem) and rates.tell_apart
     while not (cancel.is_set() or best.is_at(least)) and (now := time.monotonic()) < deadline:
-        is_alone = search.running() and time.process_time() < alone
+        is_alone = (search.running() or is_pricing) and time.process_time() < alone
         if not is_alone and next(parts, False):
             news = now
         else:
@@ -221,13 +223,9 @@ def search_with_kairos(
                 came, allowed = time.process_time(), best.worth if improve is None else improve
                 alone = came + _ALONE * allowed if known is None else alone
                 parts = better_parts(problem, best.plan, best.of_part, best.take) if can_have_parts(problem) else iter(())
-        is_settled = time.process_time() >= came + _SETTLED and not (is_over or (is_priced and narrow and narrow.running()))
-        if (
-            is_settled
-            and best.plan
-            and can_have_parts(problem)
-            and (best.plan is not alike or (by_call and not is_priced and not is_alone))
-        ):
+        is_pricing = bool(is_priced and narrow and narrow.running())
+        is_settled = time.process_time() >= came + (_TRIED if best.plan is alike else _SETTLED) and not (is_over or is_pricing)
+        if is_settled and best.plan and can_have_parts(problem) and (best.plan is not alike or (by_call and not is_priced)):
             is_priced |= by_call and best.plan is alike
             alike, came = best.plan, time.process_time()
             if narrow is not None:
@@ -235,6 +233,9 @@ def search_with_kairos(
             small = narrowed(problem, alike.steps)
             small = priced(small, rates, by_call=True) if rates is not None and is_priced else small
             searches.append(narrow := begin(parse_for_kairos(small), timeout=allowed * _NARROW))
+            if is_priced:
+                searches[0].stop()  # for few calls in the whole problem, where it is known by now that these seconds count
+                alone = came + _ALONE * allowed
         if best.plan is not None:
             allowed = best.worth * (1.0 if known is None else AT_WORK) if improve is None else improve
             deadline = first + allowed if improve is not None else min(first + allowed, news + allowed * _IN_VAIN)
@@ -243,9 +244,10 @@ def search_with_kairos(
                 searches.append(together)
             if news < now and not any(beside.running() for beside in searches[1:]) and (other := next(others, None)):
                 searches.append(begin(weighed, timeout=allowed * other[1], search=other[0]))
-        if is_over and best.plan is not None and weighed is not parsed and search is searches[0]:
+        if is_over and not is_priced and best.plan is not None and (by_call or weighed is not parsed) and search is searches[0]:
+            weighed = parse_for_kairos(priced(problem, rates, by_call=True)) if rates and by_call else weighed
             searches.append(search := begin(weighed, timeout=max(_POLL, until - now)))
-        elif is_over and not ((together and together.running()) or (by_call and next(parts, False))):
+        elif is_over and not (is_pricing or (together and together.running()) or (by_call and next(parts, False))):
             break
     is_best = not search.running() and search.stop_reason is kairos.StopReason.PROVEN_OPTIMAL
     is_best &= weighed is parsed or search is not searches[0]

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 
 from planner_bridge.model.plan import Plan, PlanStep
@@ -11,6 +13,8 @@ from planner_bridge.ordering.robot_time import ExpectedTimes, priced, robot_time
 from planner_bridge.pddl import parse_domain, parse_problem
 from planner_bridge.planning.solve import solve
 from planner_bridge.planning.validate import why_invalid
+from pnm.core.logic.domain import Declaration
+from pnm.core.logic.expressions import Fluent, Value
 from pnm.core.machine.bindings import Binding, Bindings
 from pnm.errors import InputError
 from tests.support.pddl.problems import rooms
@@ -144,6 +148,27 @@ def test_ways_between_places_are_told_apart() -> None:
     whole = solve(priced(problem, rates)).plan
     assert whole is not None
     assert len(whole.steps) == 1, "all moves cost as much there"
+
+
+def test_the_problem_may_say_how_long_each_call_takes() -> None:
+    moves, places = Binding(seconds=("lasts", "?a", "?b")), {("a", "b"): 2.0, ("b", "c"): 3.0, ("a", "c"): 9.0}
+    known: dict[Fluent, Value] = {("lasts", *way): seconds for way, seconds in places.items()}
+    bindings = Bindings({"move": moves})
+    rates = ExpectedTimes(bindings, known=known)
+    problem = rooms(goal="(at r1 c)", init="(at r1 a)", ways="ab bc ac")
+    move = problem.domain.actions["move"]
+    assert [rates.of(move, arguments) for arguments in (("r1", "a", "b"), ("r2", "b", "c"), ("r1", "c", "a"))] == [2.0, 3.0, 9.0]
+    assert rates.of(move, ("r1", "a")) == 5.5, "the mean of those that begin so"
+    assert rates.of(move, ()) == pytest.approx(14 / 3)
+    learned = NO_RATES.grown("journal", 1, [(Call("move", "move", ("r1", "a", "b")), Counts.of(End.SUCCEEDED, 8.0))] * 2)
+    both = ExpectedTimes(bindings, learned, known)
+    assert both.of(move, ("r1", "b", "c")) == pytest.approx(3.0, rel=0.1), "what was learned of another call does not count"
+    assert both.of(move, ("r1", "a", "b")) == pytest.approx(5.0, rel=0.1)
+    declared = replace(problem.domain, functions={**problem.domain.functions, "lasts": Declaration("lasts", move.parameters[1:])})
+    plan = solve(replace(problem, domain=declared, init={**problem.init, **known}), bindings=bindings).plan
+    assert plan is not None
+    assert [step.arguments for step in plan.steps] == [("r1", "a", "b"), ("r1", "b", "c")]
+    assert plan.seconds == 5.0
 
 
 def test_seconds_are_not_negative() -> None:
