@@ -65,7 +65,8 @@ _BESIDE: Final = {"ehc": 0.2, "goals": 0.2, "novelty": 0.6}
 """Other ways of searching in Kairos, which it has beside its own one. Once there is a plan: one after the other, each for this share
 of the time for improvement. While there is none: one more whenever so much time has passed again. Each finds plans for some problems."""
 _NARROW: Final = 0.4
-"""Share of the time for improvement for plans of calls like those of the best plan, of which there are few."""
+"""Share of the time for improvement for plans of calls like those of the best plan, of which there are few; all of it for those that are
+weighed by the seconds of each call, which get better for as long."""
 _SETTLED: Final = 0.1
 """Seconds of processor time of this process, without a better plan, after which they are looked for like those of the best one by then."""
 _TRIED: Final = 0.3
@@ -232,7 +233,7 @@ def search_with_kairos(
                 narrow.stop()
             small = narrowed(problem, alike.steps)
             small = priced(small, rates, by_call=True) if rates is not None and is_priced else small
-            searches.append(narrow := begin(parse_for_kairos(small), timeout=allowed * _NARROW))
+            searches.append(narrow := begin(parse_for_kairos(small), timeout=allowed * (1.0 if is_priced else _NARROW)))
             if is_priced:
                 searches[0].stop()  # for few calls in the whole problem, where it is known by now that these seconds count
                 alone = came + _ALONE * allowed
