@@ -195,6 +195,7 @@ def search_with_kairos(
     together: kairos.Search | None = None
     narrow: kairos.Search | None = None
     alike: Plan | None = None
+    tried: tuple[PlanStep, ...] = ()
     is_priced = is_pricing = False
     until, began, patience = time.monotonic() + timeout, time.process_time(), inf if improve == 0.0 else _PATIENCE
     helpers = iter(sorted(_BESIDE, key=_BESIDE.__getitem__, reverse=True))
@@ -231,7 +232,8 @@ def search_with_kairos(
             alike, came = best.plan, time.process_time()
             if narrow is not None:
                 narrow.stop()
-            small = narrowed(problem, alike.steps)
+            tried += alike.steps  # by the seconds of calls, what plans with more of them have may be the better choice
+            small = narrowed(problem, tried if is_priced else alike.steps)
             small = priced(small, rates, by_call=True) if rates is not None and is_priced else small
             searches.append(narrow := begin(parse_for_kairos(small), timeout=allowed * (1.0 if is_priced else _NARROW)))
             if is_priced:
