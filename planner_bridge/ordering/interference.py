@@ -11,7 +11,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import chain
-from typing import Final
+from typing import Final, Generic, TypeVar
 
 from planner_bridge.model.grounding import initial_knowledge
 from planner_bridge.model.guards import guarded, unused_name, with_guards
@@ -28,6 +28,10 @@ NEVER: Final[Mapping[Fluent, float]] = {}
 """The time at which others are done with their needs, if nothing is known."""
 SOON: Final = 0.01
 """Seconds from now at which something changes at the earliest, for planners that know nothing that changes at once."""
+_ANYTHING: Final[Fluent] = ("",)
+"""Stands for all fluents, where it is not known which are used."""
+
+K = TypeVar("K")
 
 
 @dataclass(frozen=True)
@@ -58,6 +62,49 @@ class ReadWriteSets:
             if fluent in self.facts and any(value is None or (not value) in self.facts[fluent] for value in values):
                 return fluent
         return None
+
+
+_NOTHING: Final = ReadWriteSets()
+
+
+class FootprintIndex(Generic[K]):
+    """Finds those that may interfere with a plan by the fluents that they use and write, without a look at the others.
+
+    The mutable state is what is noted of each; of some it is not known what they use.
+    """
+
+    def __init__(self) -> None:
+        self._noted: dict[K, ReadWriteSets | None] = {}
+        self._users: dict[Fluent, set[K]] = {}
+        self._writers: dict[Fluent, set[K]] = {}
+
+    def note(self, key: K, sets: ReadWriteSets | None) -> None:
+        """Note what one uses and writes at most, in place of what was noted before; None if that is not known."""
+        if key not in self._noted or self._noted[key] is not sets:
+            self.forget(key)
+            self._noted[key] = sets
+            for users in self._entries(sets):
+                users.add(key)
+
+    def forget(self, key: K) -> None:
+        """Forget one."""
+        for users in self._entries(self._noted.pop(key, _NOTHING)):
+            users.discard(key)
+
+    def has_other(self, key: K) -> bool:
+        """Return whether another one than this is noted."""
+        return len(self._noted) > (key in self._noted)
+
+    def near(self, sets: ReadWriteSets) -> set[K]:
+        """Return all that use what these sets write, or write what they use, and those of which that is not known."""
+        return self._users.get(_ANYTHING, set()).union(
+            *(self._writers[fluent] for fluent in self._writers.keys() & sets.used),
+            *(self._users[fluent] for fluent in self._users.keys() & sets.writes.keys()),
+        )
+
+    def _entries(self, sets: ReadWriteSets | None) -> Iterator[set[K]]:
+        yield from (self._users.setdefault(fluent, set()) for fluent in ((_ANYTHING,) if sets is None else sets.used))
+        yield from (self._writers.setdefault(fluent, set()) for fluent in (() if sets is None else sets.writes))
 
 
 def interference(mine: ReadWriteSets, other: ReadWriteSets) -> str:

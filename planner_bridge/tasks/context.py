@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
+from functools import partial
 from math import inf
 from typing import Final, Generic, TypeVar
 from uuid import UUID
@@ -12,7 +13,7 @@ from uuid import UUID
 from planner_bridge.model.guards import ForbiddenCall, calls_acquiring, calls_served_by
 from planner_bridge.model.problem import Problem
 from planner_bridge.model.progression import present_state, snapshot
-from planner_bridge.ordering.interference import Forecast, ReadWriteSets, interference
+from planner_bridge.ordering.interference import FootprintIndex, Forecast, ReadWriteSets, interference
 from planner_bridge.tasks.control import TaskControl
 from planner_bridge.tasks.replanning import History
 from planner_bridge.tasks.settings import Settings, TaskObserver
@@ -161,7 +162,8 @@ class Claims:
 class Preemption(TaskListener):
     """Finds the tasks that are in conflict with each other, and pauses and resumes those of lower priority.
 
-    The mutable state is which tasks are being paused, and whether one looks for a better plan.
+    The mutable state is which tasks are being paused, whether one looks for a better plan, and an index of the plans of all tasks, with
+    the tasks whose plans may be others than those in it.
 
     Args:
         tasks: all that are not over.
@@ -177,6 +179,8 @@ class Preemption(TaskListener):
         """Held by the one task that looks for a better plan while robots work."""
         self.claims = Claims()
         """Those of other processes; another one has to be there before the first task."""
+        self._plans: FootprintIndex[Task] = FootprintIndex()
+        self._replanned: set[Task] = set()
 
     # --- conflicts ------------------------------------------------------------------------------
 
@@ -185,13 +189,16 @@ class Preemption(TaskListener):
 
         `footprint` is called only if there are any.
         """
-        others = self._others(task)
-        if not others:  # the footprint is computed only when needed: it walks through the whole plan
+        for replanned in self._replanned:
+            if replanned.control.has_plan and replanned.id in self._tasks:
+                self._plans.note(replanned, replanned.control.whole)
+            else:
+                self._plans.forget(replanned)
+        self._replanned.clear()
+        if not self._plans.has_other(task):  # the footprint is computed only when needed: it walks through the whole plan
             return ()
         conflicts, needed = list[Conflict](), footprint()
-        for other in others:
-            if (execution := other.control.execution) and execution.is_clear_of(needed):
-                continue  # found out without a look at how far it has come
+        for other in self._others(task, sorted(self._plans.near(needed), key=lambda near: near.order)):
             its = other.control.footprint
             if its is not None and (why := interference(needed, its)):
                 conflicts.append(Conflict(other.id, other.name, its, why, other.yields_to(task)))
@@ -205,21 +212,26 @@ class Preemption(TaskListener):
 
     def forecasts(self, task: Task) -> Mapping[Task, Forecast]:
         """Return the forecasts of the plans of other active tasks that do not yield to this one."""
-        ahead = [other for other in self._others(task) if not other.yields_to(task)]
+        ahead = [other for other in self._others(task, self._tasks.values()) if not other.yields_to(task)]
         return {other: expected for other in ahead if (expected := other.control.forecast) is not None}
 
-    def runs(self) -> tuple[Run, ...]:
-        """Return the current runs of all tasks."""
-        return tuple(run for task in self._tasks.values() if (run := task.control.run) is not None)
+    def runs(self) -> Iterator[Run]:
+        """Yield the current runs of all tasks."""
+        return (run for task in self._tasks.values() if (run := task.control.run) is not None)
 
     def running_calls(self, task: Task) -> Mapping[Task, tuple[ActionCall, ...]]:
         """Return the calls of other tasks that have begun and not ended, also while such a task is stopped."""
         runs = ((other, run) for other in self._tasks.values() if other is not task and (run := other.control.run) is not None)
         return {other: calls for other, run in runs if (calls := run.unsettled)}
 
-    def _others(self, task: Task) -> list[Task]:
-        begun = (other for other in self._tasks.values() if other is not task and other.control.has_begun and other.ending is None)
+    def _others(self, task: Task, among: Iterable[Task]) -> list[Task]:
+        begun = (other for other in among if other is not task and other.control.has_begun and other.ending is None)
         return [other for other in begun if other.control.state is not TaskState.PAUSED]
+
+    def join(self, task: Task) -> None:
+        """Take a task in, which others may be in conflict with from now on, until it leaves."""
+        task.control.replanned = partial(self._replanned.add, task)
+        task.control.replanned()
 
     def release(self, task: Task) -> None:
         """Note that the task has no plan in mind any more: those that waited for it may try again.
@@ -229,7 +241,7 @@ class Preemption(TaskListener):
         if task.control.execution is None:
             self.claims.give(task.id)
         if task.control.reserved is not None:
-            task.control.reserved = None
+            task.control.reserve(None)
             asyncio.get_running_loop().call_soon(self._queue.changed)  # when it is in the queue itself, which goes by rank
 
     async def begin_turn(self, task: Task) -> None:
@@ -257,7 +269,7 @@ class Preemption(TaskListener):
                 await asyncio.shield(pausing)
 
         yielding = {conflict.task for conflict in conflicts if conflict.yields}
-        await asyncio.gather(*(pause(other) for other in self._others(task) if other.id in yielding))
+        await asyncio.gather(*(pause(other) for other in self._others(task, self._tasks.values()) if other.id in yielding))
 
     def preempt_holders(self) -> None:
         """Preempt the tasks that have what a claim of higher priority waits for."""
@@ -275,6 +287,8 @@ class Preemption(TaskListener):
 
     def leave(self, task: Task) -> Iterable[Task]:
         """Return the opponents of a task that is over; they make way for it no longer, which `update` shows."""
+        self._replanned.discard(task)
+        self._plans.forget(task)
         opponents = task.preempted_by | task.preempts
         for other in opponents:
             other.preempted_by.discard(task)

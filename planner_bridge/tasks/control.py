@@ -50,8 +50,9 @@ class Execution(Protocol):
     def needed(self) -> ReadWriteSets:
         """The needs and changes of the rest of the plan."""
 
-    def is_clear_of(self, other: ReadWriteSets, /) -> bool:
-        """Return True if nothing of the plan, however far it has come, interferes with another; False if it may."""
+    @property
+    def whole(self) -> ReadWriteSets | None:
+        """The needs and changes of the whole plan, however far it has come; None if they are not known."""
 
     @property
     def forecast(self) -> Forecast | None:
@@ -80,6 +81,8 @@ class TaskControl:
         self.execution: Execution | None = None
         self.reserved: Callable[[], ReadWriteSets] | None = None
         """The footprint of the plan found last, computed if another task needs it: others respect it before the plan is executed."""
+        self.replanned: Callable[[], object] = lambda: None
+        """Called whenever the needs and changes of the whole plan may be others than before."""
         self.policy: Policy | None = None
         """What the plan found last is the beginning of, if actions have several outcomes."""
         self.awaits_help = False
@@ -132,6 +135,16 @@ class TaskControl:
         if self.execution:
             return self.execution.needed
         return self.reserved() if self.reserved else None
+
+    @property
+    def has_plan(self) -> bool:
+        """Whether there is a plan, and with it a footprint."""
+        return bool(self.execution or self.reserved)
+
+    @property
+    def whole(self) -> ReadWriteSets | None:
+        """What the footprint of the plan is at most; None if that is not known."""
+        return self.execution.whole if self.execution else self.footprint
 
     @property
     def forecast(self) -> Forecast | None:
@@ -231,6 +244,7 @@ class TaskControl:
     def begin_execution(self, execution: Execution) -> None:
         """Note which execution of a plan pauses and stops are passed on to, until `end_execution`."""
         self.execution = execution
+        self.replanned()
         if self.stopped:
             execution.executor.stop(reason=self.stopped.reason)
         if self.is_paused:
@@ -241,6 +255,12 @@ class TaskControl:
     def end_execution(self) -> None:
         """Note that no plan is executed any more."""
         self._last_run, self.execution = self.run, None
+        self.replanned()
+
+    def reserve(self, footprint: Callable[[], ReadWriteSets] | None) -> None:
+        """Note the footprint of a plan that was found, or that there is none in mind any more."""
+        self.reserved = footprint
+        self.replanned()
 
     def enter(self, state: TaskState, reason: str = "") -> None:
         """Show another state; a pause or a coming end hides the activity of the task."""

@@ -131,13 +131,8 @@ class PlanExecution(Observer):
         progress = self.progress
         return read_write_sets(progress.rest, progress.plan.goal, self._context.world)
 
-    def is_clear_of(self, other: ReadWriteSets, /) -> bool:
-        """Return True if nothing of the plan, however far it has come, interferes with another; False if it may."""
-        whole = self._needed_at_first
-        return whole is not None and whole.is_clear_of(other)
-
     @property
-    def _needed_at_first(self) -> ReadWriteSets | None:
+    def whole(self) -> ReadWriteSets | None:
         """The needs and changes of the whole plan; None if they are others in another world, for what derived facts rest on changes."""
         plan, world = self.run.machine.plan, self._context.world
         if world.rules.derived:
@@ -221,10 +216,11 @@ class PlanExecution(Observer):
         news = {fluent: value for fluent, value in changes.items() if fluent[0] == EXISTS}
         if news:
             self._whole = None  # quantifiers range over more now
+            self._context.control.replanned()
         # During a pause the plan is compared with the world once, when it is resumed.
         if not (news or self.is_eager) or self._context.control.is_paused:
             return
-        whole, names = self._needed_at_first, self.run.machine.plan.used_by
+        whole, names = self.whole, self.run.machine.plan.used_by
         if not news and whole and whole.used.isdisjoint(changes):  # as most: all tasks hear of all changes
             return
         used = {fluent: value for fluent, value in changes.items() if (fluent in whole.used if whole else fluent[0] in names)}
@@ -288,6 +284,7 @@ class PlanExecution(Observer):
         self.set_off_by = ""
         numbers = (call.index for call in successor[0].plan.calls if call.under_way)  # in the order that they had in the old plan
         self.executor.succeed(self._run_of(successor, dict(zip(numbers, self.run.under_way(), strict=True))))
+        self._context.control.replanned()
 
     def _run_of(self, proved: ProvedMachine, adopted: Mapping[int, UnderWay]) -> Run:
         context, runner, (machine, proof) = self._context, self._context.runner, proved

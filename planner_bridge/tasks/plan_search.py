@@ -390,7 +390,7 @@ class PlanSearch:
         found = conflicts or self._context.scheduler.claims.take(self._context.task, needed)
         if found != ():
             return None, found or ()
-        self._control.reserved = needed
+        self._control.reserve(needed)
         return plan, ()
 
     async def _too_early(

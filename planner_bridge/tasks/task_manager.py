@@ -336,6 +336,7 @@ class TaskManager:
     def _list(self, task: Task, passed: float) -> None:
         """List a task, some seconds after it was accepted: from here on its deadline can end it, even before it is admitted."""
         self._tasks[task.id] = task
+        self._preemption.join(task)
         insort(self._queued, task, key=lambda queued: queued.rank)
         if task.wanted.deadline is not None:
             reason = f"the goal was not reached within {task.wanted.deadline:g} s"

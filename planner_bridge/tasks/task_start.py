@@ -157,9 +157,10 @@ class PlanTask:
         ended = {result.call.index for result in calls if result.ended is not None} if is_flat else set()
         return read_write_sets([call for call in plan.calls if call.index not in ended], plan.goal, self._context.world)
 
-    def is_clear_of(self, other: ReadWriteSets, /) -> bool:
-        """Return False: the calls of the plan have arguments that only its run knows."""
-        return False
+    @property
+    def whole(self) -> ReadWriteSets | None:
+        """None: the calls of the plan have arguments that only its run knows."""
+        return None
 
     @property
     def forecast(self) -> Forecast | None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import random
 from dataclasses import replace
 from itertools import combinations, permutations, zip_longest
 
@@ -12,6 +13,7 @@ from planner_bridge.model.plan import Plan
 from planner_bridge.model.problem import Problem
 from planner_bridge.model.progression import NotApplicable, Progression, calls_of, snapshot
 from planner_bridge.ordering.interference import (
+    FootprintIndex,
     Forecast,
     ReadWriteSets,
     avoid_interference,
@@ -26,6 +28,7 @@ from planner_bridge.planning.solve import solve
 from planner_bridge.planning.validate import why_invalid
 from pnm.core.knowledge_base import parse_fluent
 from pnm.core.logic.conditions import evaluate
+from pnm.core.logic.expressions import Fluent
 from pnm.core.machine.plan_graph import Moment, PlanGraph
 from tests.support.pddl.problems import rooms, tanks
 from tests.support.pddl.vans import vans
@@ -63,6 +66,27 @@ KEEPS_CLEAN = ReadWriteSets(facts={("clean", "a"): CLEAN}, writes={("clean", "a"
 def test_plans_are_in_conflict_over_what_one_changes_and_the_other_needs(one: ReadWriteSets, other: ReadWriteSets, said: str):
     assert said in interference(one, other)
     assert bool(interference(one, other)) is bool(interference(other, one)) is bool(said)
+
+
+def test_who_may_interfere_is_found_by_what_is_used_and_written():
+    rng, index, noted = random.Random(0), FootprintIndex[int](), dict[int, ReadWriteSets | None]()
+    fluents: list[Fluent] = [("f", str(number)) for number in range(12)]
+
+    def drawn() -> ReadWriteSets:
+        facts, reads, writes = (rng.sample(fluents, rng.randrange(3)) for _ in range(3))
+        return ReadWriteSets(dict.fromkeys(facts, CLEAN), frozenset(reads), dict.fromkeys(writes, frozenset({None})))
+
+    for _ in range(500):
+        key, mine = rng.randrange(8), drawn()
+        if rng.random() < 0.3:
+            index.forget(key)
+            noted.pop(key, None)
+        else:
+            noted[key] = None if rng.random() < 0.1 else drawn()
+            index.note(key, noted[key])
+        assert index.near(mine) == {one for one, sets in noted.items() if sets is None or not sets.is_clear_of(mine)}
+        assert index.near(mine) >= {one for one, sets in noted.items() if sets and interference(mine, sets)}
+        assert index.has_other(key) == bool(noted.keys() - {key})
 
 
 def test_what_calls_are_under_way_for_is_needed_to_their_end_only():
