@@ -28,7 +28,7 @@ from pnm.core.machine.plan_graph import ActionCall
 from pnm.core.resources import Resources
 from pnm.knowledge.source import Source
 from pnm.language.runner import PlanRunner
-from pnm.tasks import OnConflict, TaskListener, TaskState, TraceKind
+from pnm.tasks import OnConflict, TaskListener, TaskState, TraceEvent, TraceKind
 
 
 @dataclass(frozen=True, slots=True)
@@ -162,8 +162,8 @@ class Claims:
 class Preemption(TaskListener):
     """Finds the tasks that are in conflict with each other, and pauses and resumes those of lower priority.
 
-    The mutable state is which tasks are being paused, whether one looks for a better plan, and an index of the plans of all tasks, with
-    the tasks whose plans may be others than those in it.
+    The mutable state is which tasks are being paused, whether one looks for a better plan, and what is known of the tasks without a look
+    at all of them: an index of their plans, their running calls, and those of which it may be something else by now.
 
     Args:
         tasks: all that are not over.
@@ -180,7 +180,8 @@ class Preemption(TaskListener):
         self.claims = Claims()
         """Those of other processes; another one has to be there before the first task."""
         self._plans: FootprintIndex[Task] = FootprintIndex()
-        self._replanned: set[Task] = set()
+        self._running: dict[Task, tuple[ActionCall, ...]] = {}
+        self._moved: set[UUID] = set()
 
     # --- conflicts ------------------------------------------------------------------------------
 
@@ -189,12 +190,7 @@ class Preemption(TaskListener):
 
         `footprint` is called only if there are any.
         """
-        for replanned in self._replanned:
-            if replanned.control.has_plan and replanned.id in self._tasks:
-                self._plans.note(replanned, replanned.control.whole)
-            else:
-                self._plans.forget(replanned)
-        self._replanned.clear()
+        self._look()
         if not self._plans.has_other(task):  # the footprint is computed only when needed: it walks through the whole plan
             return ()
         conflicts, needed = list[Conflict](), footprint()
@@ -221,8 +217,8 @@ class Preemption(TaskListener):
 
     def running_calls(self, task: Task) -> Mapping[Task, tuple[ActionCall, ...]]:
         """Return the calls of other tasks that have begun and not ended, also while such a task is stopped."""
-        runs = ((other, run) for other in self._tasks.values() if other is not task and (run := other.control.run) is not None)
-        return {other: calls for other, run in runs if (calls := run.unsettled)}
+        self._look()
+        return {other: calls for other, calls in self._running.items() if other is not task}
 
     def _others(self, task: Task, among: Iterable[Task]) -> list[Task]:
         begun = (other for other in among if other is not task and other.control.has_begun and other.ending is None)
@@ -230,8 +226,27 @@ class Preemption(TaskListener):
 
     def join(self, task: Task) -> None:
         """Take a task in, which others may be in conflict with from now on, until it leaves."""
-        task.control.replanned = partial(self._replanned.add, task)
-        task.control.replanned()
+        task.control.replanned = partial(self._moved.add, task.id)
+
+    def moved(self, task: UUID, moment: Callable[[], TraceEvent]) -> None:
+        """Note that calls of a task may have begun or ended."""
+        self._moved.add(task)
+
+    def _look(self) -> None:
+        moved, settling = [task for id in self._moved if (task := self._tasks.get(id))], set[UUID]()
+        for task in moved:
+            run = task.control.run
+            if task.control.has_plan:
+                self._plans.note(task, task.control.whole)
+            else:
+                self._plans.forget(task)
+            self._running.pop(task, None)
+            if run is not None and (calls := run.unsettled):
+                self._running[task] = calls
+            if run is not None and run.settling:  # which may be over without a firing
+                settling.add(task.id)
+        self._moved.clear()
+        self._moved |= settling
 
     def release(self, task: Task) -> None:
         """Note that the task has no plan in mind any more: those that waited for it may try again.
@@ -287,8 +302,8 @@ class Preemption(TaskListener):
 
     def leave(self, task: Task) -> Iterable[Task]:
         """Return the opponents of a task that is over; they make way for it no longer, which `update` shows."""
-        self._replanned.discard(task)
         self._plans.forget(task)
+        self._running.pop(task, None)
         opponents = task.preempted_by | task.preempts
         for other in opponents:
             other.preempted_by.discard(task)

@@ -82,7 +82,7 @@ class TaskControl:
         self.reserved: Callable[[], ReadWriteSets] | None = None
         """The footprint of the plan found last, computed if another task needs it: others respect it before the plan is executed."""
         self.replanned: Callable[[], object] = lambda: None
-        """Called whenever the needs and changes of the whole plan may be others than before."""
+        """Called whenever there may be another plan, or another run."""
         self.policy: Policy | None = None
         """What the plan found last is the beginning of, if actions have several outcomes."""
         self.awaits_help = False

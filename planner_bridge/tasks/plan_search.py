@@ -405,7 +405,7 @@ class PlanSearch:
             return ()
         needed, world = read_write_sets(calls_of(optimistic, other.plan), now.goal, initial_knowledge(optimistic)), initial_knowledge(now)
         conflicts: list[Conflict] = []
-        for task, calls in running.items():
+        for task, calls in sorted(running.items(), key=lambda one: one[0].order):
             why = f"it has begun {', '.join(str(call.action) for call in calls)}"
             yields = task.yields_to(self._context.task)
             conflicts.append(Conflict(task.id, task.name, read_write_sets(calls, TRUE, world), why, yields))

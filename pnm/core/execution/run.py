@@ -51,7 +51,7 @@ class Run(RunView):
 
     def handle(self, event: events.Event, now: float) -> list[events.Command]:
         """Take one event in and return what is to be done about it."""
-        state, self._fired, self._told, self._unsettled = self._state, [], [], None
+        state, self._fired, self._told = self._state, [], []
         if now > state.now:  # guards compare times with each other, so the run's clock never goes back
             state.now = now
         match event:
@@ -106,7 +106,7 @@ class Run(RunView):
         if (self._waits or self._questions.asked) and self._waits != self.awaits_answers:
             self._waits = not self._waits
             self.observer.waiting(self._waits, now)
-        commands, self._commands, self._unsettled = self._commands, [], None
+        commands, self._commands = self._commands, []
         return commands
 
     def _report(self, report: Accepted | Ended) -> None:

@@ -88,7 +88,6 @@ class RunView(KeptState):
         self._engine = Engine(machine.placed, machine.placed.initial)
         self._agenda = Agenda(self._index, knowledge)
         self._fired: list[int] = []
-        self._unsettled: tuple[ActionCall, ...] | None = None
         self._told: list[Told] = []
         self._tells = tells
         self._commands: list[Command] = []
@@ -311,10 +310,8 @@ class RunView(KeptState):
 
         A call that has ended and waits for others before that is not among them: what it does has been done, and a pause holds it up.
         """
-        if self._unsettled is None:  # asked for all tasks whenever one plans
-            sought = (self._calls.as_sent(call) for place, call in self._settling if place in self._undecided)
-            self._unsettled = (*self.open_calls.values(), *sought)
-        return self._unsettled
+        sought = (self._calls.as_sent(call) for place, call in self._settling if place in self._undecided)
+        return (*self.open_calls.values(), *sought)
 
     @property
     def settling(self) -> tuple[ActionCall, ...]:
