@@ -24,7 +24,7 @@ from planner_bridge.planning.parts import can_have_parts
 from planner_bridge.planning.validate import InvalidPlan, explained, last_state, validated
 from pnm.core.knowledge_base import KnowledgeBase
 from pnm.core.logic.conditions import TOLERANCE, Condition, Holds, Not, conjuncts, evaluate, fluents, names
-from pnm.core.logic.effects import possible_assignments
+from pnm.core.logic.effects import choices_in_effects, possible_assignments
 from pnm.core.logic.expressions import Constant, Fluent, Unknown, Value, ValueOf, value_of
 from pnm.core.machine.plan_graph import ActionCall, GroundAction, Moment, PlanEvent, PlanGraphError
 from pnm.errors import InputError, check_kinds, check_seconds, counted
@@ -210,6 +210,8 @@ def _portfolio_members(planner: str) -> tuple[str, ...]:
 
 WORK: Final = 32_000
 """Happenings that are simulated at most: enough for every step of a plan of 250. All of them would grow with the square of its length."""
+_CHOICES: Final = 8
+"""Choices of objects in effects that take as long as one happening without."""
 
 
 def reduced(
@@ -291,6 +293,8 @@ class _Elimination:
         self._problem = problem
         self._first = plan
         self._actions = [call.action for call in calls_of(problem, plan)]
+        effects = ((*action.start_effects, *action.end_effects) for action in self._actions)
+        self._work = [1 + choices_in_effects(both, problem.count) // _CHOICES for both in effects]
         self._happenings = happenings(problem, plan)
         self._needed = indispensable(problem, self._actions)
         self._plan = plan
@@ -317,8 +321,8 @@ class _Elimination:
         return self._plan
 
     def _advance(self, simulation: Progression, happening: Happening, lost: Collection[int]) -> None:
-        self.work -= 1
         events = [(event, self._actions[event.call]) for event in happening.events if event.call not in lost]
+        self.work -= max((self._work[event.call] for event, _ in events), default=1)
         simulation.advance(events, happening.changes)
 
     def _try_without(self, index: int, position: int, before: Progression) -> None:
@@ -328,7 +332,7 @@ class _Elimination:
             return
         left = [number for number in range(len(self._first.steps)) if number not in lost]
         while True:
-            self.work -= len(left)
+            self.work -= sum(self._work[number] for number in left)
             shorter = replace(self._first, steps=tuple(self._first.steps[number] for number in left))
             try:
                 cost = cost_of(self._problem, shorter)

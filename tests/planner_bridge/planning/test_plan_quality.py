@@ -157,6 +157,19 @@ def test_the_work_is_bounded_however_long_the_plan(calls: int, monkeypatch: pyte
     assert next(simulated) < WORK + 5 * calls
 
 
+def test_calls_that_change_many_objects_are_simulated_less_often(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each takes as long as a hundred others."""
+    effect = "(and (increase (asked) 1) (forall (?i - item) (when (wet ?i) (seen ?i))))"
+    domain = f"""(define (domain d) (:requirements :fluents :conditional-effects :typing) (:types item) (:functions (asked))
+      (:predicates (wet ?i - item) (seen ?i - item)) (:action ask :parameters () :effect {effect}))"""
+    text = f"(define (problem p) (:domain d) (:objects {' '.join(f'i{number}' for number in range(400))} - item)"
+    problem = parse_problem(f"{text} (:init (= (asked) 0)) (:goal (>= (asked) 100)))", parse_domain(domain))
+    simulated, advance = count(), Progression.advance
+    monkeypatch.setattr(Progression, "advance", lambda *given: (next(simulated), advance(*given))[1])
+    reduced(problem, PlanningResult(PlanningStatus.SOLVED, plan_of(*["ask"] * 100)))
+    assert next(simulated) < WORK // 100 + 500
+
+
 def test_of_plans_with_times_needless_calls_are_left_out_as_well() -> None:
     steps = (PlanStep("drive", ("v1", "home", "shop"), 0.0, 4.0), PlanStep("drive", ("v2", "home", "far"), 0.0, 4.0))
     problem = vans("v1 home v2 home", "home shop 4", "home far 4", goal="(at v2 far)")
