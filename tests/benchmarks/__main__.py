@@ -1,11 +1,12 @@
 """The benchmark of plan executives: ours and its peers in turn, in one run. Not a test.
 
 usage: python -m tests.benchmarks [--peers FOLDER] [--rounds N] [--only WORDS] [--json FILE] [--write]
+       python -m tests.benchmarks --paid [--rounds N] [--write]
        python -m tests.benchmarks --gate [--write]
 
 The peers run in a virtual environment of their own in FOLDER, which is made if it is not there; without one they are named as not
-installed. --write puts the tables into docs/reference/benchmarks.md. --gate ends with status 1 if something of ours has become much
-slower than it was when its limit was stored; --gate --write stores the limits anew.
+installed. --write puts the tables into docs/reference/benchmarks.md. --paid measures what users pay beside its floors. --gate ends with
+status 1 if something of ours has become much slower than it was when its limit was stored; --gate --write stores the limits anew.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ from contextlib import ExitStack
 from functools import partial
 from pathlib import Path
 
+from tests.support.benchmarks import paid
 from tests.support.benchmarks.executives import gate
 from tests.support.benchmarks.executives.measured import MeasuredRow, measure
 from tests.support.benchmarks.executives.page import PAGE, cell, measured_part, put_in
@@ -43,6 +45,20 @@ def compare(arguments: argparse.Namespace) -> None:
         PAGE.write_text(put_in(PAGE.read_text(encoding="utf-8"), part), encoding="utf-8")
 
 
+def pay(arguments: argparse.Namespace) -> None:
+    """Measure what users pay, and print and write the table."""
+    lines = []
+    with our_worker() as worker:
+        for line in paid.paid(worker, arguments.rounds):
+            print(line, flush=True)
+            lines.append(line)
+    if arguments.write:
+        about = machine()
+        part = f"Measured on {about['cpu']}, {about['cores']} cores (load {about['load']}): the least of {arguments.rounds}.\n\n"
+        part += "".join(f"{line}\n" for line in lines)
+        PAGE.write_text(put_in(PAGE.read_text(encoding="utf-8"), part, paid.BEGIN, paid.END), encoding="utf-8")
+
+
 def shown(measured: MeasuredRow) -> str:
     """Return what a row has taken, on one line."""
     ours = measured.taken[0]
@@ -56,6 +72,7 @@ def main() -> None:
     parser.add_argument("--only", default="", metavar="WORDS", help="rows whose titles have these words")
     parser.add_argument("--json", type=Path, metavar="FILE", help="keep everything that was measured")
     parser.add_argument("--write", action="store_true", help="put the tables, or the limits, into their file")
+    parser.add_argument("--paid", action="store_true", help="what users pay, beside its floors")
     parser.add_argument("--gate", action="store_true", help="fail if something has become much slower")
     arguments = parser.parse_args()
     if arguments.write and arguments.only:
@@ -67,6 +84,8 @@ def main() -> None:
         print("\n".join(lines))
         if reasons:
             raise SystemExit("\n".join(("too slow:", *reasons)))
+    elif arguments.paid:
+        pay(arguments)
     else:
         compare(arguments)
 

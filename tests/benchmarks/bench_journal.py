@@ -1,12 +1,11 @@
 """What the journal costs, as ratios to the same without one, in one process. Not a test.
 
-usage: python -m tests.benchmarks.bench_journal [engine] [failures] [replays] [segments] [recoveries]
+usage: python -m tests.benchmarks.bench_journal [engine] [failures] [replays] [recoveries]
 
 The engine: a run whose requests are answered at once, with every event committed to a file, and without; in turn, several times: as an
 executor carries it out, and with its events alone, without an event loop. A failure: from knowing of it to the begin of the next plan.
-A replay: of runs with 100000 firings, beside what is read of them without executing them. Segments: a loop that does not end, taken up
-after a thousand calls and after ten thousand. A recovery: 100 tasks, each with a machine and a request that is out, from opening the
-file until every one of them goes on.
+A replay: of runs with 100000 firings, beside what is read of them without executing them. A recovery:
+100 tasks, each with a machine and a request that is out, from opening the file until every one of them goes on.
 """
 
 from __future__ import annotations
@@ -38,25 +37,21 @@ from pnm.actions.backend import ClientBackend, SimulatedBackend
 from pnm.actions.faults import Fault, FaultKind, Faults
 from pnm.clock import run_async, short_pauses
 from pnm.core.execution.machine_index import prepare
-from pnm.core.knowledge_base import KnowledgeBase, Layered
-from pnm.core.logic.conditions import TRUE
+from pnm.core.knowledge_base import KnowledgeBase
 from pnm.core.machine.bindings import Bindings
 from pnm.core.machine.generate import generate
 from pnm.core.machine.machine import OnFailure
-from pnm.core.machine.plan_graph import ActionCall, Flow, GroundAction, Loop, Moment, Ordering, PlanEvent, PlanGraph
+from pnm.core.machine.plan_graph import GroundAction
 from pnm.core.machine.requests import Accepted, Reporter, Request
-from pnm.core.resources import Resources
-from pnm.executor import Executor
-from pnm.journal.journal import NO_JOURNAL, Journal, RunOptions, WrittenJournal
+from pnm.journal.journal import NO_JOURNAL, Journal, WrittenJournal
 from pnm.journal.kept import DURABILITIES, JournalChoice
 from pnm.journal.resume import replayed, take_up
 from pnm.journal.store import JournalFile
 from pnm.language.runner import PlanRunner
 from pnm.tasks import Wanted
-from tests.support.e2e.page.busy_run import AtOnce, answered, executed, kept, rounds, with_journal, without_journal
+from tests.support.e2e.page.busy_run import answered, executed, kept, rounds, with_journal, without_journal
 from tests.support.files import ROOT
 from tests.support.pddl.problems import fleet, read_goal
-from tests.support.runs.simulated import move
 from tests.support.runs.timing import FailureClock, seconds
 
 FIRINGS = 100_000
@@ -151,49 +146,6 @@ def replays(folder: Path) -> None:
     print(f"history: what `pnm why` and timelines read takes {told / took:.2f} times the replay (at most 0.6)")
 
 
-class Tired(AtOnce):
-    """Servers that answer so many requests, and no more."""
-
-    def __init__(self, calls: int) -> None:
-        self.calls = calls
-        self.are_tired = asyncio.Event()
-
-    def send(self, request: Request, report: Reporter, /) -> None:
-        self.calls -= 1
-        if self.calls >= 0:
-            super().send(request, report)
-        else:
-            self.are_tired.set()
-
-
-async def patrol(file: Path, calls: int) -> None:
-    """Execute a loop that does not end, in a process that dies after so many calls."""
-    there, back = move("r0", "hall", "kitchen"), move("r0", "kitchen", "hall")
-    body = Flow((ActionCall(0, there), ActionCall(1, back)), (Ordering(PlanEvent(0, Moment.END), PlanEvent(1, Moment.START)),))
-    machine, client = generate(PlanGraph((Loop(2, TRUE, body, 10**6),))), Tired(calls)
-    with short_pauses(), kept(file) as (journal, world):
-        world.update({("at", "r0", "hall"): True})
-        options = RunOptions(id=UUID(int=1), bindings=Bindings(), goal_fields=lambda _: None, resources=Resources())
-        run = journal.make_run(machine, Layered(world), **options)
-        execution = asyncio.ensure_future(Executor(run, client, journal=journal).execute())
-        await client.are_tired.wait()
-    execution.cancel()
-    execution.cancel()
-
-
-def segments(folder: Path) -> None:
-    """Take up the journal of one run that has not ended, after a thousand calls and after ten thousand."""
-    took: list[float] = []
-    for calls in (1_000, 10_000):
-        asyncio.run(patrol(folder / f"patrol{calls}", calls))
-        with short_pauses():
-            took.append(seconds(partial(replayed, folder / f"patrol{calls}", TASKS), 5))
-    few, many = took
-    print(
-        f"segments: a run that goes on is taken up in {1000 * few:.0f} ms after 1000 calls; after 10000 {many / few:.2f} times (at most 3)"
-    )
-
-
 class Silent:
     """Robots that begin with everything, and say nothing more."""
 
@@ -256,7 +208,7 @@ def recoveries(folder: Path) -> None:
 
 def main() -> None:
     print(f"load of the machine: {os.getloadavg()[0]:.1f}")
-    measures = {measure.__name__: measure for measure in (engine, failures, replays, segments, recoveries)}
+    measures = {measure.__name__: measure for measure in (engine, failures, replays, recoveries)}
     with tempfile.TemporaryDirectory() as folder:
         for name in sys.argv[1:] or measures:
             measures[name](Path(folder))

@@ -9,13 +9,12 @@ from __future__ import annotations
 
 import asyncio
 import logging
-import os
 import sys
 import tempfile
 from pathlib import Path
 
 from pnm.clock import short_pauses
-from tests.support.benchmarks.soak import ours, tasks_in_a_row
+from tests.support.benchmarks.soak import memory, ours, tasks_in_a_row
 
 OFTEN = 500
 
@@ -23,8 +22,7 @@ OFTEN = 500
 def told(number: int) -> None:
     """Print the memory of the process after so many tasks, and the number of our objects."""
     objects = ours().total()
-    pages = int(Path("/proc/self/statm").read_text().split()[1])
-    print(f"{number} tasks: {pages * os.sysconf('SC_PAGE_SIZE') / 1e6:.1f} MB, {objects} objects", flush=True)
+    print(f"{number} tasks: {memory():.1f} MB, {objects} objects", flush=True)
 
 
 async def soak(tasks: int, file: Path | None) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gc
+import os
 from collections import Counter
 from collections.abc import AsyncIterator
 from pathlib import Path
@@ -54,3 +55,8 @@ def ours() -> Counter[str]:
         pass
     classes = map(type, gc.get_objects())
     return Counter(kind.__qualname__ for kind in classes if str(kind.__module__).startswith(("pnm.", "planner_bridge.")))
+
+
+def memory() -> float:
+    """Return the megabytes of this process."""
+    return int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 1e6

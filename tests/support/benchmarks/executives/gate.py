@@ -7,11 +7,12 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Final
 
-from tests.support.benchmarks.executives.workers import Worker, our_worker
+from tests.support.benchmarks.executives.workers import Worker, our_worker, value_of
 
 GATE: Final = (
     ("written", 100),
     ("written", 1_000),
+    ("written-kept", 100),
     ("import", 459),
     ("help", 1),
     ("simulated", 1),
@@ -34,6 +35,7 @@ GATE: Final = (
     ("resource", 100),
     ("tasks-begin", 500),
     ("tasks-next", 500),
+    ("taken-up", 10_000),
     ("task-call", 100),
     ("task-call-kept", 100),
     ("plan-tiles", 4),
@@ -53,17 +55,10 @@ def turns(worker: Worker, measures: Iterable[tuple[str, int]], rounds: int = _RO
     for name, size in measures:
         taken, loops = [], []
         for _ in range(rounds):
-            loops.append(_value(worker, "loop", 1))
-            taken.append(_value(worker, name, size))
+            loops.append(value_of(worker, "loop", 1))
+            taken.append(value_of(worker, name, size))
         found[f"{name} {size}"] = min(taken) / min(loops)
     return found
-
-
-def _value(worker: Worker, name: str, size: int) -> float:
-    answer = worker.ask(name, size)
-    if "value" not in answer:
-        raise SystemExit(f"{name} {size} cannot be measured: {answer}")
-    return float(answer["value"])
 
 
 def exceeded(limits: Mapping[str, float], found: Mapping[str, float]) -> list[str]:

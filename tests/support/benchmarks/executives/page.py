@@ -48,7 +48,7 @@ def number(value: float) -> str:
     return f"{value:.0f}" if value >= 100 else f"{value:.1f}" if value >= 10 else f"{value:.2f}" if value >= 0.1 else f"{value:.2g}"
 
 
-def put_in(text: str, part: str) -> str:
-    """Return the page with its measured part replaced."""
-    before, rest = text.split(BEGIN)
-    return f"{before}{BEGIN}\n{part}\n{END}{rest.split(END)[1]}"
+def put_in(text: str, part: str, begin: str = BEGIN, end: str = END) -> str:
+    """Return the page with a measured part replaced, which is between these lines."""
+    before, rest = text.split(begin)
+    return f"{before}{begin}\n{part}\n{end}{rest.split(end)[1]}"

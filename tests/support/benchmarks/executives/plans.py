@@ -30,8 +30,22 @@ from pnm.core.logic.expressions import Constant, ValueOf
 from pnm.core.machine.generate import generate
 from pnm.core.machine.verification.verify import verify
 from tests.support.benchmarks.failures import measured, tour
+from tests.support.benchmarks.patrol import taken_up
 from tests.support.benchmarks.peers.worker import Measure, NotHere, each
-from tests.support.benchmarks.waiting import CHARGE, LAMP, OTHER, fact, fleet, hall, report, searched, taking_turns, ways, ways_at_first
+from tests.support.benchmarks.waiting import (
+    CHARGE,
+    LAMP,
+    OTHER,
+    fact,
+    fleet,
+    hall,
+    report,
+    rounds,
+    searched,
+    taking_turns,
+    ways,
+    ways_at_first,
+)
 from tests.support.files import ROOT
 from tests.support.pddl.problems import tiles
 
@@ -202,6 +216,8 @@ MEASURES: dict[str, Measure] = {
     "lamp-unread": lambda size: fact(hall(size), OTHER),
     "lamps-looked-at": lamps_looked_at,
     "report": report,
+    "rounds": lambda _: rounds(),
+    "taken-up": taken_up,
     "ways": ways,
     "ways-first": ways_at_first,
     "ways-searched": searched,

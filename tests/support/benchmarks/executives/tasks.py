@@ -29,6 +29,7 @@ from pnm.journal.store import JournalFile
 from pnm.language.runner import PlanRunner
 from pnm.tasks import Wanted
 from tests.support.benchmarks.peers.worker import Measure
+from tests.support.benchmarks.soak import memory, tasks_in_a_row
 from tests.support.e2e.page.busy_run import AtOnce
 from tests.support.pddl.problems import fleet
 
@@ -39,6 +40,8 @@ _LONG = Bindings({"move": Binding(timeout=3_600.0)})
 """Calls wait until all have begun: at the limit that they have otherwise, a minute, their tasks would plan anew."""
 _ENDS = 15
 """Calls that end one after the other."""
+_FIRST = 500
+"""Tasks after which all is there that is kept for a while."""
 
 
 class _OnceRound(Memory):
@@ -132,6 +135,22 @@ def _under_way_kept(calls: int) -> float:
         return _seconds(_under_way(calls, Path(folder) / "journal"))
 
 
+def _left_behind(count: int) -> float:
+    """Return the megabytes by which the memory grows in 100 tasks, of so many after the first ones, with a journal."""
+
+    async def soak(file: Path) -> float:
+        before = 0.0
+        async for number in tasks_in_a_row(file):
+            if number == _FIRST:
+                before = memory()
+            if number == _FIRST + count:
+                return memory() - before
+        raise AssertionError
+
+    with TemporaryDirectory() as folder:
+        return 100 * _seconds(soak(Path(folder) / "journal")) / count
+
+
 def _seconds(work: Coroutine[None, None, float]) -> float:
     level = logging.root.manager.disable
     logging.disable(logging.CRITICAL)
@@ -146,4 +165,5 @@ MEASURES: dict[str, Measure] = {
     "tasks-next": lambda count: 1e6 * _seconds(_at_once(count, 1)),
     "task-call": lambda calls: 1e6 * _seconds(_under_way(calls, None)),
     "task-call-kept": lambda calls: 1e6 * _under_way_kept(calls),
+    "left-behind": _left_behind,
 }

@@ -56,6 +56,14 @@ class Worker:
         return answer
 
 
+def value_of(worker: Worker, measure: str, size: int) -> float:
+    """Return the value of a measure of ours; exit if it cannot be measured."""
+    answer = worker.ask(measure, size)
+    if "value" not in answer:
+        raise SystemExit(f"{measure} {size} cannot be measured: {answer}")
+    return float(answer["value"])
+
+
 def our_worker() -> Worker:
     return Worker(Path(sys.executable), "tests.support.benchmarks.executives.ours")
 
