@@ -16,6 +16,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from itertools import chain
 from operator import itemgetter
 from typing import Final, Generic, TypeVar
@@ -34,6 +35,12 @@ _REMEMBERED: Final = 20_000
 _NAME_OF: Final = itemgetter(0)
 
 Listener = Callable[[Mapping[Fluent, Value | Unknown]], None]
+
+
+def _of_types(objects: Mapping[str, tuple[str, ...]], types: tuple[str, ...]) -> tuple[str, ...]:
+    if len(types) == 1:
+        return objects.get(types[0], ())
+    return tuple(dict.fromkeys(name for kind in types for name in objects.get(kind, ())))
 
 
 class KnowledgeBase(RecordedState):
@@ -73,7 +80,7 @@ class KnowledgeBase(RecordedState):
         """The fluents that have changed last, in order."""
         self._forgotten = 0
         """The number of changes before these."""
-        self._derived_facts = DerivedFacts(rules, self._facts, self.objects)
+        self._derived_facts = self._derived_anew()
 
     def __repr__(self) -> str:
         return f"<KnowledgeBase {len(self._facts)} facts, {len(self._variables)} variables, {len(self._sensed)} sensed names>"
@@ -89,9 +96,11 @@ class KnowledgeBase(RecordedState):
 
     def objects(self, types: tuple[str, ...], /) -> tuple[str, ...]:
         """Return the objects of any of the types: in the order in which they were declared, then those that were found, by name."""
-        if len(types) == 1:
-            return self._objects.get(types[0], ())
-        return tuple(dict.fromkeys(name for kind in types for name in self._objects.get(kind, ())))
+        return _of_types(self._objects, types)
+
+    def _derived_anew(self) -> DerivedFacts:
+        # without a reference to this world: worlds are copied for every plan, and go as soon as nobody has them
+        return DerivedFacts(self.rules, self._facts, partial(_of_types, self._objects))
 
     def objects_by_type(self) -> dict[str, tuple[str, ...]]:
         """Return a copy of the objects of every type."""
@@ -111,7 +120,7 @@ class KnowledgeBase(RecordedState):
             for kind in {"object", *(kind for _, _, kind in about)}:
                 others = (name for name in self._objects.get(kind, ()) if name not in names and name not in found)
                 self._objects[kind] = (*others, *sorted(name for name, kinds in found.items() if kind in ("object", *kinds)))
-            self._derived_facts = DerivedFacts(self.rules, self._facts, self.objects)
+            self._derived_facts = self._derived_anew()
             self._forget_changes()
 
     # derived facts
@@ -235,7 +244,7 @@ class KnowledgeBase(RecordedState):
         self._why_unknown = {fluent: why for fluent, why in self._why_unknown.items() if facts.get(fluent) is UNKNOWN}
         self._present = None
         self._objects = dict(objects)
-        self._derived_facts = DerivedFacts(rules, self._facts, self.objects)
+        self._derived_facts = self._derived_anew()
         self._note_objects(facts)
         self._forget_changes()
         self._tell(changes)
