@@ -5,9 +5,9 @@ usage: python -m tests.benchmarks.fond [--problems DIR] [--trials N] [--only GLO
 
 A folder has a manifest.json with the names of its problems, each a folder with domain.pddl and problem.pddl, and with figures that were
 published for PRP and for a replanner (ffr), on other computers. The world reads PDDL by itself, draws each outcome, reports every change,
-and judges whether the goal holds: a task that says so wrongly is a false success. A trial without an end within --seconds hangs, and one
-of more actions than --limit has failed. A planner may take half of --seconds. Optima are of all states that can be reached,
-where these are at most 20,000.
+and judges whether the goal holds: a task that says so wrongly is a false success. A trial without an end within ten times --seconds hangs,
+and one of more actions than --limit has failed. Each search of a planner may take half of --seconds. Optima are of all states that can be
+reached, where these are at most 20,000.
 
 `--replanner` asks a planner about the outcomes as actions to choose from, and again when another one happens: without policies.
 `--policy-only` makes a policy once and plays it alone, without machine and executor; where there is none, no goal is reached. What was
@@ -86,7 +86,7 @@ def main() -> None:
     parser.add_argument("--trials", type=int, default=100)
     parser.add_argument("--only", default="*", help="names, with * and ?; several with commas")
     parser.add_argument("--limit", type=int, default=1000, help="actions of a trial")
-    parser.add_argument("--seconds", type=float, default=60.0, help="of a trial, and of the optimum")
+    parser.add_argument("--seconds", type=float, default=60.0, help="of two searches, and of the optimum")
     ways = parser.add_mutually_exclusive_group()
     ways.add_argument("--replanner", action="store_true", help="without policies")
     ways.add_argument("--policy-only", action="store_true", help="without machine and executor")

@@ -30,6 +30,8 @@ from tests.support.pddl.outcomes.world import IMPOSSIBLE, ChanceWorld
 HANGS: Final = "no end"
 """Why a trial has failed whose process said nothing for too long."""
 SPAWN: Final = get_context("spawn")
+_PLANS: Final = 10
+"""Times --seconds after which a trial hangs: there may be many searches in it, each of which ends at its own limit."""
 
 
 class Way(NamedTuple):
@@ -145,7 +147,7 @@ def fill(folder: Path, way: Way, trials: int, known: dict[str, Any]) -> Iterator
         theirs.close()
         why = HANGS
         try:
-            while ours.poll(way.seconds):
+            while ours.poll(_PLANS * way.seconds):
                 told = ours.recv()
                 if "seed" in told:
                     known["trials"].append(told)
