@@ -121,6 +121,8 @@ class RunHistory:
     source: records.MachineSource
     state: KnowledgeBase
     executed: Callable[[], ReplayedRun]
+    policy: PolicyNote | None = None
+    """What its plan is the beginning of, if actions have several outcomes."""
     replan: Replan | None = None
     """Why it followed the run before it, and how its plan differs; None for the first one, and for a plan that a call is."""
     begun: bool = False
@@ -522,6 +524,7 @@ class JournalHistory:
         task.runs = [one for one in task.runs if not one.made.gives_way(made, has_begun=one.begun)]
         task.runs.append(run)
         if run.is_own:
+            run.policy = task.policy
             if len(task.own_runs) > 1:
                 before = task.own_runs[-2]
                 left = (str(result.call.action) for result in before.last_results.values() if not result.is_done)

@@ -6,6 +6,7 @@ import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
+from functools import cache, partial
 from itertools import zip_longest
 from math import isfinite
 from typing import Any, ClassVar, Final, Literal, TypeAlias, TypeVar
@@ -366,7 +367,8 @@ class PolicyNote:
         from planner_bridge.planning.policies import policy  # here, because most actions have one outcome
 
         entries = tuple([policy.PolicyEntry(*entry) for entry in self.entries])
-        return policy.Policy(problem, entries, self.chance, self.is_proved) if entries else None
+        steps = cache(partial(policy.steps_of, problem, entries))
+        return policy.Policy(problem, entries, self.chance, self.is_proved, steps) if entries else None
 
 
 @dataclass(frozen=True, slots=True)

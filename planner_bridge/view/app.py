@@ -28,10 +28,11 @@ from starlette.routing import Mount, Route
 from starlette.staticfiles import StaticFiles
 from starlette.types import ASGIApp, Receive, Scope, Send
 
+from planner_bridge.explanations.history import RunHistory
 from planner_bridge.pipeline.odds import NOTHING_KNOWN, KnownRobots
 from planner_bridge.view.follow import Feed, Reader
 from planner_bridge.view.serving import MAX_TEXT, Controlled, Reply
-from planner_bridge.view.story import Story, Thing, View, detail, view_of
+from planner_bridge.view.story import Followed, Story, Thing, View, detail, view_of
 from pnm.core.knowledge_base import KnowledgeBase
 from pnm.core.pictures.plan_picture import plan_svg
 from pnm.errors import InputError, PnmError, printable
@@ -87,7 +88,8 @@ class ViewApp:
             Route("/state", partial(self._told, tell=lambda story: self._frame(None, view_of(story)))),
             Route("/call", partial(self._told_of_call, tell=detail)),
             Route("/why", self._why),
-            Route("/picture", self._picture),
+            Route("/picture", partial(self._picture, tell=lambda _, run: run.source.plan, draw=partial(plan_svg, style=""))),
+            Route("/policy", partial(self._picture, tell=Followed.by, draw=Followed.picture)),
             Route("/events", self._events),
             Route("/control", control.look),
             Route("/control", partial(control.do, world=self._projected), methods=["POST"]),
@@ -135,15 +137,14 @@ class ViewApp:
             return _refused(f"expected call=RUN/NUMBER, found {_quoted(request.query_params.get('call', ''))}", 400)
         return await self._told(request, lambda story: tell(story, UUID(run), number), response)
 
-    async def _picture(self, request: Request) -> Response:
-        """Answer with the plan of a run that has begun by a record."""
+    async def _picture(self, request: Request, tell: Callable[[Story, RunHistory], T | None], draw: Callable[[T], str]) -> Response:
+        """Answer with a picture of a run that has begun by a record."""
 
-        def told(story: Story) -> str | None:
-            runs = {id.hex: run for id, run in story.runs.items()}
-            chosen = runs.get(request.query_params.get("run", ""))
-            return None if chosen is None else plan_svg(chosen.source.plan, style="")
+        def told(story: Story) -> T | None:
+            chosen = {id.hex: run for id, run in story.runs.items()}.get(request.query_params.get("run", ""))
+            return None if chosen is None else tell(story, chosen)
 
-        return await self._told(request, told, lambda text: Response(text, media_type="image/svg+xml"))
+        return await self._told(request, told, lambda found: Response(draw(found), media_type="image/svg+xml"))
 
     async def _told(
         self, request: Request, tell: Callable[[Story], T | None], response: Callable[[T], Response] = ShownResponse

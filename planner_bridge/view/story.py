@@ -15,7 +15,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field
 from functools import partial
 from math import isfinite
-from typing import Any, Final, TypeAlias
+from typing import TYPE_CHECKING, Any, Final, NamedTuple, TypeAlias
 from uuid import UUID
 
 from planner_bridge.explanations.history import Attempt, JournalHistory, RunHistory, TaskHistory, Trouble
@@ -37,6 +37,10 @@ from pnm.files.database.place import Place, place_of
 from pnm.journal import records
 from pnm.journal.replay import ReplayStep, words
 from pnm.tasks import TaskState, percent
+
+if TYPE_CHECKING:
+    from planner_bridge.planning.policies.net import PolicyRun
+    from planner_bridge.planning.policies.policy import Policy
 
 EVENTS: Final = 200
 """Records that are shown in words, besides those that are marked."""
@@ -302,6 +306,7 @@ def _run(run: RunHistory) -> Thing:
         "origin": run.origin,
         "is_over": run.is_over,
         "replan": run.replan and asdict(run.replan),
+        "has_policy": bool(run.policy and run.policy.entries and run.policy.problem),
     }
 
 
@@ -434,6 +439,34 @@ def _timed_plan(history: JournalHistory, run: RunHistory, began: float) -> Timed
         )
     failures = tuple(str(Failure(trouble.step, *trouble.cause)) for trouble in run.failures)
     return TimedPlan(run.time - began, tuple(calls), run.replan, failures)
+
+
+# --- policies ---------------------------------------------------------------------------------------
+
+
+class Followed(NamedTuple):
+    """A policy, and what of it was carried out by a record."""
+
+    policy: Policy
+    runs: tuple[PolicyRun, ...]
+
+    @staticmethod
+    def by(story: Story, run: RunHistory) -> Followed | None:
+        """Return the policy that a run follows, as far as its task has come with it; None if none is known."""
+        task, note = story.tasks.get(run.made.task), run.policy
+        runs = [one for one in task.own_runs if one.policy is note and one.record] if task else []
+        if not (note and note.problem and runs):
+            return None
+        problem, first = note.problem, runs[0]
+        known = story.once(f"policy of {first.id.hex}", note, lambda: {"policy": note.policy(problem_now(problem, first.state))})
+        began = tuple((one.state, (*one.last_results.values(),), one.is_over) for one in runs)
+        return Followed(known["policy"], began) if known["policy"] else None
+
+    def picture(self) -> str:
+        """Return the picture of the policy, in which that is lit."""
+        from planner_bridge.planning.policies.net import followed_svg  # here, because most actions have one outcome
+
+        return followed_svg(self.policy, self.runs)
 
 
 # --- call detail ----------------------------------------------------------------------------------

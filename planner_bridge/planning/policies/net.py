@@ -12,12 +12,17 @@ The pictures leave failure out: for Graphviz, and as SVG with a line for each st
 from __future__ import annotations
 
 import json
+from collections import Counter
 from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Final, NamedTuple
+from typing import Final, NamedTuple, TypeAlias
 
+from planner_bridge.planning.policies.policy import Policy
 from planner_bridge.planning.policies.steps import GOAL, MOST, NO_WAY_OUT, Step
+from pnm.core.execution.call_results import CallResult
+from pnm.core.knowledge_base import KnowledgeBase
+from pnm.core.logic.conditions import evaluate
 from pnm.core.machine.verification.explore import explore_part
 from pnm.core.machine.verification.part import Count, Inside, Left, Part, PartStep, Unsound
 from pnm.core.net.net import Marking, NetBuilder, PetriNet
@@ -29,6 +34,10 @@ FAILURE: Final = -2
 _NAMES: Final = {GOAL: "goal", NO_WAY_OUT: "no way out", FAILURE: "failure"}
 _ROLES: Final = {"goal": "goal", "no way out": "failure", "failure": "failure"}
 _LUCK: Final = Count("luck", frozenset(), frozenset(Left), restores=False)
+
+
+PolicyRun: TypeAlias = tuple[KnowledgeBase, Sequence[CallResult], bool]
+"""A run that a policy has planned: the state in which it began, what became of its calls, whether it is over."""
 
 
 class PolicyWay(NamedTuple):
@@ -197,8 +206,24 @@ _STYLE: Final = (
 )
 
 
-def steps_svg(steps: Sequence[Step], title: str) -> str:
-    """Return the picture of a policy; the same steps give the same text. Of many steps the first ones are drawn."""
+class Taken(NamedTuple):
+    """A branch that was taken: an outcome of a step, and the step that followed; empty and None if it is not known which."""
+
+    step: int
+    outcome: str
+    then: int | None
+
+
+def steps_svg(steps: Sequence[Step], title: str, taken: Iterable[Taken] = (), now: int | None = None, *, style: str = _STYLE) -> str:
+    """Return the picture of a policy; the same steps give the same text. Of many steps the first ones are drawn.
+
+    Args:
+        taken: the branches that were taken: they are of the class ``taken``.
+        now: the step that is under way, of the class ``now``.
+        style: as for `picture`.
+    """
+    ways = {*(taken := [*taken])}
+    times, outcomes = Counter(one.step for one in taken), Counter(one[:2] for one in taken)
     shown, ends = steps[:MOST], {GOAL: "goal"}
     if any(NO_WAY_OUT in branch.then for step in shown for branch in step.branches):
         ends[NO_WAY_OUT] = "no way out"
@@ -213,27 +238,74 @@ def steps_svg(steps: Sequence[Step], title: str) -> str:
     drawn = []
     for end, name in ends.items():
         rows[end], y = y, y + _ROW
-        drawn.append(f'<circle class="{_LOOKS.get(end, "")}" cx="{_MARGIN}" cy="{rows[end]}" r="7"/>')
+        look = f"{_LOOKS.get(end, '')}{' taken' * any(one.then == end for one in taken)}"
+        drawn.append(f'<circle class="{look}" cx="{_MARGIN}" cy="{rows[end]}" r="7"/>')
         drawn.append(f'<text class="name" x="{_MARGIN + 14}" y="{rows[end] + 4}">{name}</text>')
     for step in shown:
         top, several = rows[step.number], len(step.branches) > 1
-        drawn.append(f'<g data-step="{step.number}"><title>{xml(f"{step.action}, {step.expected:.1f} calls expected")}</title>')
-        name = xml(texts[step.number])
-        drawn.append(f'<circle cx="{_MARGIN}" cy="{top}" r="7"/><text class="name" x="{_MARGIN + 14}" y="{top + 4}">{name}</text></g>')
+        is_now, count = step.number == now, times[step.number]
+        look = f' class="{"now" if is_now else "taken"}"' if is_now or count else ""
+        drawn.append(f'<g data-step="{step.number}"{look}><title>{xml(f"{step.action}, {step.expected:.1f} calls expected")}</title>')
+        name, sign = xml(texts[step.number]), "▶" if is_now else "✓" if count else ""
+        drawn.append(
+            f'<circle cx="{_MARGIN}" cy="{top}" r="7"/><text class="name" x="{_MARGIN + 14}" y="{top + 4}">{name}{_count(count)}</text>'
+        )
+        drawn.append(f'<text class="sign" x="{_MARGIN}" y="{top + 3}">{sign}</text></g>' if sign else "</g>")
         for line, branch in enumerate(step.branches, 1):
             from_y = top + _ROW * line * several
             if several:
-                drawn.append(f'<rect class="bar" x="{_MARGIN + 14}" y="{from_y - 5}" width="3" height="10"/>')
+                count = outcomes[step.number, branch.outcome]
+                drawn.append(f'<rect class="bar{" taken" * bool(count)}" x="{_MARGIN + 14}" y="{from_y - 5}" width="3" height="10"/>')
                 words = xml(f"{cut(branch.outcome, _LETTERS)} {branch.chance:.0%}")
-                drawn.append(f'<text x="{_MARGIN + 22}" y="{from_y + 4}">{words}</text>')
+                look = ' class="taken"' if count else ""
+                drawn.append(f'<text{look} x="{_MARGIN + 22}" y="{from_y + 4}">{words}{" ✓" * bool(count)}{_count(count)}</text>')
             for then in branch.then:
                 to_y = rows[min(then, MOST + 1)]
                 bend = min(_BEND[0] + _BEND[1] * abs(to_y - from_y) // _ROW, _BEND[2])
                 widest = max(widest, bend)
                 look = _LOOKS.get(then, "back" if to_y <= from_y else "")
+                look += " taken" * ((step.number, branch.outcome, then) in ways)
                 way = f"M{right} {from_y}C{right + bend} {from_y} {right + bend} {to_y} {right} {to_y}"
                 drawn.append(f'<path class="{look}" d="{way}" marker-end="url(#tip)"/>')
-    return picture("policy", title, _STYLE, right + widest, y, drawn)
+    return picture("policy", title, style, right + widest, y, drawn)
+
+
+def followed(policy: Policy, runs: Iterable[PolicyRun]) -> tuple[list[Taken], int | None]:
+    """Return the branches of a policy that runs have taken, in their order, and the step that is under way."""
+    steps, taken, now = {step.entry: step for step in policy.steps()}, list[Taken](), None
+
+    def number(state: KnowledgeBase) -> int:
+        if evaluate(policy.problem.goal, state) is True:
+            return GOAL
+        place = policy.place(state)
+        return NO_WAY_OUT if place is None or place not in steps else steps[place].number
+
+    for state, results, is_over in runs:
+        now = None
+        for planned, result in zip(policy.calls(state), results, strict=False):
+            step = steps.get(planned.place) if planned else None
+            if planned is None or step is None or str(planned.entry) != str(result.call.action):
+                break  # something else is done than it says
+            if result.is_done:
+                after = planned.after.get(result.declared if planned.outcome else "")
+                name = step.branches[0].outcome if len(step.branches) == 1 else result.declared
+                taken.append(Taken(step.number, name, None if after is None else number(after)))
+            elif now is None and not is_over:
+                now = step.number
+    return taken, now
+
+
+def followed_svg(policy: Policy, runs: Iterable[PolicyRun]) -> str:
+    """Return the picture of a policy, without looks, with what runs have taken of it; its title says the rest."""
+    (taken, now), steps = followed(policy, runs), policy.steps()
+    names = {step.number: f"#{step.number} {step.action}" for step in steps}
+    told = [f"under way: {names[now]}"] if now else []
+    told += [f"last: {names[one.step]}{f', which came out as {one.outcome}' if one.outcome else ''}" for one in taken[-1:]]
+    return steps_svg(steps, "; ".join(told) or "nothing of it has begun", taken, now, style="")
+
+
+def _count(times: int) -> str:
+    return f'<tspan class="count"> {times}×</tspan>' if times > 1 else ""
 
 
 def steps_dot(steps: Sequence[Step]) -> str:

@@ -6,6 +6,7 @@ carried back through actions as facts are: what is to be 20 after a drive that t
 
 from __future__ import annotations
 
+from bisect import bisect_left, bisect_right
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -103,6 +104,12 @@ class Scale:
         """Return the least and the greatest value in states with these facts; infinite where it does not matter."""
         least, top = self.range(true, false)
         return self.values[least] if least else -inf, self.values[top] if top < len(self.values) - 1 else inf
+
+    def facts(self, bounds: Range) -> tuple[int, int]:
+        """Return the facts that are true, and those that are false, of all values in a range: what `bounds` has made one of."""
+        return self.up_to(bisect_left(self.values[:-1], bounds[0])), self.mask & ~self.up_to(
+            max(0, bisect_right(self.values, bounds[1]) - 1)
+        )
 
     def changes(self, after: Sequence[float]) -> Iterator[tuple[tuple[int, int], int, int]]:
         """Yield how facts change with the value, if it is this one after each: true and false facts before, what becomes true and false."""

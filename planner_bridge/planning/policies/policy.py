@@ -23,9 +23,9 @@ from planner_bridge.planning.policies.encoding import OutcomePlanner
 from planner_bridge.planning.policies.grounding import Chances, Seconds, policy_task
 from planner_bridge.planning.policies.numbers import ANY_NUMBER, Scale
 from planner_bridge.planning.policies.proof import unproved
-from planner_bridge.planning.policies.search import Interrupted, Search
+from planner_bridge.planning.policies.search import Interrupted, Search, SettledPart
 from planner_bridge.planning.policies.steps import MOST, Step, policy_steps
-from planner_bridge.planning.policies.task import OF_METRIC, PolicyTask
+from planner_bridge.planning.policies.task import OF_METRIC, PartialState, PolicyAction, PolicyTask
 from pnm.core.knowledge_base import KnowledgeBase, statement_text
 from pnm.core.logic.conditions import Compare, evaluate
 from pnm.core.logic.effects import Effects, changes
@@ -52,6 +52,16 @@ class PolicyEntry(NamedTuple):
     numbers: Mapping[Fluent, tuple[float, float]] = MappingProxyType({})
     """The ranges in which these numbers have to be."""
 
+    def settled(self, number: int, task: PolicyTask, actions: Mapping[str, PolicyAction]) -> SettledPart:
+        """Return the entry as the search had it; in no state if what it needs can never be so."""
+        true, false = (task.bits(fluent for fluent, value in self.facts.items() if value is truth) for truth in (True, False))
+        action, is_possible = actions.get(str(self)), true.bit_count() == sum(self.facts.values())
+        for fluent, bounds in self.numbers.items():
+            more = next((scale.facts(bounds) for scale in task.scales if scale.fluent == fluent), (0, 0))
+            true, false = true | more[0], false | more[1]
+        need = PartialState(true, false) if is_possible and action is not None else PartialState(1, 1)
+        return SettledPart(1.0 - self.chance, self.expected, self.distance, need, number, action)
+
     def comparisons(self) -> Iterator[Compare]:
         """Yield what has to hold for numbers."""
         for fluent, (least, greatest) in self.numbers.items():
@@ -61,6 +71,19 @@ class PolicyEntry(NamedTuple):
 
     def __str__(self) -> str:
         return f"{self.action}({', '.join(self.arguments)})"
+
+
+class PolicyCall(NamedTuple):
+    """What a policy does in a state."""
+
+    place: int
+    """That of the entry."""
+    entry: PolicyEntry
+    duration: float | None
+    outcome: str
+    """With luck; empty if there is but one."""
+    after: Mapping[str, KnowledgeBase]
+    """The state after each outcome."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,6 +136,11 @@ class Policy:
 
     def entry(self, state: State) -> PolicyEntry | None:
         """Return the entry for the state; None if there is none."""
+        place = self.place(state)
+        return None if place is None else self.entries[place]
+
+    def place(self, state: State) -> int | None:
+        """Return the place of the entry for the state; None if there is none."""
         true = false = 0
         for fluent, bit in self._bits.items():
             match state.value(fluent):
@@ -121,8 +149,7 @@ class Policy:
                 case False | None:
                     false |= bit
         true |= sum(bit for comparison, bit in self._comparisons.items() if evaluate(comparison, state) is True)
-        number = next((place for place, part in enumerate(self._parts) if not (part[0] & ~true or part[1] & ~false)), None)
-        return None if number is None else self.entries[number]
+        return next((place for place, part in enumerate(self._parts) if not (part[0] & ~true or part[1] & ~false)), None)
 
     def stretch(self, state: KnowledgeBase) -> Plan | None:
         """Return what to do from a state up to the next action with several outcomes, or to the goal; None if there is no entry for it."""
@@ -133,24 +160,33 @@ class Policy:
         return self._plan(state, is_whole=True)
 
     def _plan(self, state: KnowledgeBase, is_whole: bool) -> Plan | None:
-        steps: list[PlanStep] = []
-        used = set[int]()  # each one leads nearer; one that does not would do so for ever
-        domain, is_timed, now = self.problem.domain, self.problem.is_timed, 0.0
-        while evaluate(self.problem.goal, state) is not True:
-            entry = self.entry(state)
-            if entry is None or id(entry) in used:
+        steps, now = list[PlanStep](), 0.0
+        for call in self.calls(state, is_whole=is_whole):
+            if call is None:
                 return None
-            used.add(id(entry))
+            steps.append(PlanStep(call.entry.action, call.entry.arguments, now, call.duration or 0.0, call.outcome))
+            now += GAP + (call.duration or 0.0) if self.problem.is_timed else 1.0
+        return Plan(tuple(steps), self.problem.is_timed)
+
+    def calls(self, state: KnowledgeBase, *, is_whole: bool = False) -> Iterator[PolicyCall | None]:
+        """Yield what to do from a state on, as `stretch` or `plan` has it; None at last if there is no entry for what follows."""
+        used, domain = set[int](), self.problem.domain  # each one leads nearer; one that does not would do so for ever
+        while evaluate(self.problem.goal, state) is not True:
+            place = self.place(state)
+            if place is None or place in used:
+                yield None
+                return
+            used.add(place)
+            entry = self.entries[place]
             duration = modelled_duration(domain.actions[entry.action], entry.arguments, state)
             action = ground_step(domain, entry.action, entry.arguments, duration, "", self.problem.members)
             begun = _after(action.start_effects, state)
-            ways = [(way.name, _after(way.effects, begun)) for way in action.outcomes]
-            outcome, state = min(ways, key=lambda way: self._left(way[1])) if ways else ("", _after(action.end_effects, begun))
-            steps.append(PlanStep(entry.action, entry.arguments, now, duration or 0.0, outcome))
-            now += GAP + (duration or 0.0) if is_timed else 1.0
-            if ways and not is_whole:
-                break
-        return Plan(tuple(steps), is_timed)
+            ways = {way.name: _after(way.effects, begun) for way in action.outcomes} or {"": _after(action.end_effects, begun)}
+            outcome = min(ways, key=lambda way: self._left(ways[way])) if action.outcomes else ""
+            yield PolicyCall(place, entry, duration, outcome, ways)
+            if action.outcomes and not is_whole:
+                return
+            state = ways[outcome]
 
     def _left(self, state: State) -> tuple[float, float]:
         """Return the risk and the expected cost of what is left: less for one outcome at least, so that plans come to an end."""
@@ -357,7 +393,7 @@ def _certain(problem: Problem, search: Search, until: float, at_work: Callable[[
 def _policy(problem: Problem, search: Search) -> Policy:
     task, first = search.task, search.settled(search.task.initial)
     assert first is not None, "there is an entry for the initial state"
-    ranked = sorted(search.entries)
+    ranked = [part for part in sorted(search.entries) if part.action is not None]
     entries = tuple(
         PolicyEntry(
             {**dict.fromkeys(task.named(need.true), True), **dict.fromkeys(task.named(need.false), False)},
@@ -374,6 +410,13 @@ def _policy(problem: Problem, search: Search) -> Policy:
     certain = [entry for entry in entries if entry.chance == 1.0]
     steps = partial(policy_steps, task, ranked)
     return Policy(problem, entries, 1.0 - first.risk, not first.risk and is_proved(problem, certain, task.scales), steps, task.measure)
+
+
+def steps_of(problem: Problem, entries: Sequence[PolicyEntry]) -> list[Step]:
+    """Return which entries follow which, from the initial state of the problem on, as whoever has found them has it."""
+    task = policy_task(problem)
+    actions = {str(action): action for action in task.actions}
+    return policy_steps(task, [entry.settled(number, task, actions) for number, entry in enumerate(entries)])
 
 
 def is_proved(problem: Problem, entries: Sequence[PolicyEntry], scales: Sequence[Scale]) -> bool:

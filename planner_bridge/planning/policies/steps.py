@@ -31,6 +31,8 @@ class Step(NamedTuple):
     action: PolicyAction
     expected: float
     branches: tuple[Branch, ...]
+    entry: int = 0
+    """The place of the entry in the policy."""
 
     def as_json(self) -> dict[str, Any]:
         """Return it as JSON has it: 0 is the goal, and -1 no way out."""
@@ -64,7 +66,7 @@ def policy_steps(task: PolicyTask, entries: list[SettledPart]) -> list[Step]:
         return action
 
     def fitting(state: int) -> int | None:
-        return next((at for at, entry in enumerate(entries) if entry.need.holds(state)), None)
+        return None if task.goal_in(state) else next((at for at, entry in enumerate(entries) if entry.need.holds(state)), None)
 
     def number(state: int, at: int | None) -> int:
         if task.goal_in(state):
@@ -107,7 +109,7 @@ def policy_steps(task: PolicyTask, entries: list[SettledPart]) -> list[Step]:
     for at, its in numbers.items():
         action = taken(at)
         ways = zip(action.outcomes, follow[at], strict=True)
-        steps.append(Step(its, action, entries[at].expected, tuple(Branch(way.name, way.chance, tuple(then)) for way, then in ways)))
+        steps.append(Step(its, action, entries[at].expected, tuple(Branch(way.name, way.chance, tuple(then)) for way, then in ways), at))
     return steps
 
 

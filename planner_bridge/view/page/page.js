@@ -4,7 +4,7 @@ import { showCall } from "./call.js";
 import { hasControls, openControls } from "./controls.js";
 import { showEvents, showFacts, showServers } from "./lists.js";
 import { PARTS, applied, nothing } from "./model.js";
-import { showPlan, showStates } from "./plan.js";
+import { showPlan, showPolicy, showStates } from "./plan.js";
 import { showTasks } from "./tasks.js";
 import { showTimeline } from "./timeline.js";
 import { MARKS, el, seconds, svg } from "./words.js";
@@ -139,6 +139,7 @@ function drawn() {
   if (has("runs", "tasks", "calls")) {
     showCallChoice(model, run, call);
     showPlan(model, run, choose).then(() => showStates(shown(), currentRun(shown()), currentCall(shown())));
+    showPolicy(model, run);
   }
   if (has("calls", "requests", "troubles", "runs", "time")) {
     const about = `${detail?.run}/${detail?.index}` === call ? detail : null;

@@ -54,6 +54,25 @@ export async function showPlan(model, run, choose) {
   }
 }
 
+let followed = ""; // what the policy that is shown, or asked for, was made of
+
+// Draws the policy of a run, if it follows one, anew whenever a call of its task has become something else.
+export async function showPolicy(model, run) {
+  const whole = document.getElementById("policy");
+  whole.hidden = !model.runs.get(run)?.has_policy;
+  const runs = [...model.tasks.values()].find((task) => task.runs.includes(run))?.runs ?? [run];
+  const calls = [...model.calls].filter(([, call]) => runs.includes(call.run)).map(([key, call]) => [key, call.state, call.outcome]);
+  const made = whole.hidden ? "" : JSON.stringify([run, calls]);
+  if (followed === made) return;
+  followed = made;
+  const text = made && (await fetch(`/policy?run=${run}&at=${model.number}`).then((answer) => (answer.ok ? answer.text() : ""), () => ""));
+  if (followed !== made) return; // another one is wanted by now
+  const picture = new DOMParser().parseFromString(text, "image/svg+xml").documentElement;
+  const drawable = picture.localName === "svg" && !picture.querySelector("parsererror");
+  document.getElementById("policy-said").textContent = drawable ? picture.querySelector("title").textContent : "the policy cannot be drawn";
+  document.getElementById("policy-picture").replaceChildren(...(drawable ? [document.adoptNode(picture)] : []));
+}
+
 const boxOf = (run, key) => (key.startsWith(`${run}/`) ? boxes.get(Number(key.slice(run.length + 1))) : undefined);
 
 function badgeOf(box) {
