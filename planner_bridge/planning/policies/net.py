@@ -16,6 +16,7 @@ from collections import Counter
 from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import chain
 from typing import Final, NamedTuple, TypeAlias
 
 from planner_bridge.planning.policies.policy import Policy
@@ -198,6 +199,7 @@ _MARGIN: Final = 24
 _LETTERS: Final = 44
 _BEND: Final = (24, 7, 300)
 """Pixels that an arrow bends to the right: at least, for each line that it passes, and at most."""
+_TAKEN: Final = ' class="taken"'
 _LOOKS: Final = {GOAL: "goal", NO_WAY_OUT: "lost"}
 _STYLE: Final = (
     "text{font:11px sans-serif;fill:#263238}.name{font-weight:bold}.bar{fill:#263238}"
@@ -223,19 +225,30 @@ def steps_svg(steps: Sequence[Step], title: str, taken: Iterable[Taken] = (), no
         style: as for `picture`.
     """
     ways = {*(taken := [*taken])}
-    times, outcomes = Counter(one.step for one in taken), Counter(one[:2] for one in taken)
+    times = Counter(chain.from_iterable(((one.step, None), (one.step, one.outcome)) for one in taken))
     shown, ends = steps[:MOST], {GOAL: "goal"}
     if any(NO_WAY_OUT in branch.then for step in shown for branch in step.branches):
         ends[NO_WAY_OUT] = "no way out"
     if len(steps) > MOST:
         ends[MOST + 1] = counted(len(steps) - MOST, "more step")
-    texts = {step.number: cut(f"#{step.number} {step.action}", _LETTERS) for step in shown}
-    right, widest = 2 * _MARGIN + _LETTER * max(map(len, (*ends.values(), *texts.values()))), 0
+
+    def text(words: str, step: Step, outcome: str | None = None) -> str:
+        count = times[step.number, outcome]
+        return f"{words}{' ✓' * (count > 0 and outcome is not None)}{f' {count}×' * (count > 1)}"
+
+    texts = {step.number: text(cut(f"#{step.number} {step.action}", _LETTERS), step) for step in shown}
+    labels = {
+        (step.number, way.outcome): text(f"{cut(way.outcome, _LETTERS)} {way.chance:.0%}", step, way.outcome)
+        for step in shown
+        for way in step.branches
+        if len(step.branches) > 1
+    }
+    right, widest = 2 * _MARGIN + _LETTER * max(map(len, (*ends.values(), *texts.values(), *labels.values()))), 0
     rows, y = dict[int, int](), _MARGIN
     for step in shown:
         rows[step.number] = y
         y += _ROW * (1 + len(step.branches) * (len(step.branches) > 1))
-    drawn = []
+    drawn, lit = list[str](), list[str]()
     for end, name in ends.items():
         rows[end], y = y, y + _ROW
         look = f"{_LOOKS.get(end, '')}{' taken' * any(one.then == end for one in taken)}"
@@ -243,31 +256,26 @@ def steps_svg(steps: Sequence[Step], title: str, taken: Iterable[Taken] = (), no
         drawn.append(f'<text class="name" x="{_MARGIN + 14}" y="{rows[end] + 4}">{name}</text>')
     for step in shown:
         top, several = rows[step.number], len(step.branches) > 1
-        is_now, count = step.number == now, times[step.number]
-        look = f' class="{"now" if is_now else "taken"}"' if is_now or count else ""
-        drawn.append(f'<g data-step="{step.number}"{look}><title>{xml(f"{step.action}, {step.expected:.1f} calls expected")}</title>')
-        name, sign = xml(texts[step.number]), "▶" if is_now else "✓" if count else ""
-        drawn.append(
-            f'<circle cx="{_MARGIN}" cy="{top}" r="7"/><text class="name" x="{_MARGIN + 14}" y="{top + 4}">{name}{_count(count)}</text>'
-        )
-        drawn.append(f'<text class="sign" x="{_MARGIN}" y="{top + 3}">{sign}</text></g>' if sign else "</g>")
+        its, sign = (' class="now"', "▶") if step.number == now else (_TAKEN, "✓") if times[step.number, None] else ("", "")
+        drawn.append(f'<g data-step="{step.number}"{its}><title>{xml(f"{step.action}, {step.expected:.1f} calls expected")}</title>')
+        name = f'<text class="name" x="{_MARGIN + 14}" y="{top + 4}">{xml(texts[step.number])}</text>'
+        name += f'<text class="sign" x="{_MARGIN}" y="{top + 3}">{sign}</text>' if sign else ""
+        drawn.append(f'<circle cx="{_MARGIN}" cy="{top}" r="7"/>{name}</g>')
         for line, branch in enumerate(step.branches, 1):
             from_y = top + _ROW * line * several
             if several:
-                count = outcomes[step.number, branch.outcome]
-                drawn.append(f'<rect class="bar{" taken" * bool(count)}" x="{_MARGIN + 14}" y="{from_y - 5}" width="3" height="10"/>')
-                words = xml(f"{cut(branch.outcome, _LETTERS)} {branch.chance:.0%}")
-                look = ' class="taken"' if count else ""
-                drawn.append(f'<text{look} x="{_MARGIN + 22}" y="{from_y + 4}">{words}{" ✓" * bool(count)}{_count(count)}</text>')
+                its, more = (_TAKEN, " taken") if times[step.number, branch.outcome] else ("", "")
+                drawn.append(f'<rect class="bar{more}" x="{_MARGIN + 14}" y="{from_y - 5}" width="3" height="10"/>')
+                words = xml(labels[step.number, branch.outcome])
+                drawn.append(f'<text{its} x="{_MARGIN + 22}" y="{from_y + 4}">{words}</text>')
             for then in branch.then:
                 to_y = rows[min(then, MOST + 1)]
                 bend = min(_BEND[0] + _BEND[1] * abs(to_y - from_y) // _ROW, _BEND[2])
                 widest = max(widest, bend)
-                look = _LOOKS.get(then, "back" if to_y <= from_y else "")
-                look += " taken" * ((step.number, branch.outcome, then) in ways)
+                look, is_taken = _LOOKS.get(then, "back" if to_y <= from_y else ""), (step.number, branch.outcome, then) in ways
                 way = f"M{right} {from_y}C{right + bend} {from_y} {right + bend} {to_y} {right} {to_y}"
-                drawn.append(f'<path class="{look}" d="{way}" marker-end="url(#tip)"/>')
-    return picture("policy", title, style, right + widest, y, drawn)
+                (lit if is_taken else drawn).append(f'<path class="{look}{" taken" * is_taken}" d="{way}" marker-end="url(#tip)"/>')
+    return picture("policy", title, style, right + widest, y, (*drawn, *lit))
 
 
 def followed(policy: Policy, runs: Iterable[PolicyRun]) -> tuple[list[Taken], int | None]:
@@ -302,10 +310,6 @@ def followed_svg(policy: Policy, runs: Iterable[PolicyRun]) -> str:
     told = [f"under way: {names[now]}"] if now else []
     told += [f"last: {names[one.step]}{f', which came out as {one.outcome}' if one.outcome else ''}" for one in taken[-1:]]
     return steps_svg(steps, "; ".join(told) or "nothing of it has begun", taken, now, style="")
-
-
-def _count(times: int) -> str:
-    return f'<tspan class="count"> {times}×</tspan>' if times > 1 else ""
 
 
 def steps_dot(steps: Sequence[Step]) -> str:

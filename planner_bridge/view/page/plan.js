@@ -67,10 +67,10 @@ export async function showPolicy(model, run) {
   followed = made;
   const text = made && (await fetch(`/policy?run=${run}&at=${model.number}`).then((answer) => (answer.ok ? answer.text() : ""), () => ""));
   if (followed !== made) return; // another one is wanted by now
-  const picture = new DOMParser().parseFromString(text, "image/svg+xml").documentElement;
-  const drawable = picture.localName === "svg" && !picture.querySelector("parsererror");
-  document.getElementById("policy-said").textContent = drawable ? picture.querySelector("title").textContent : "the policy cannot be drawn";
-  document.getElementById("policy-picture").replaceChildren(...(drawable ? [document.adoptNode(picture)] : []));
+  const parsed = text && new DOMParser().parseFromString(text, "image/svg+xml").documentElement;
+  const picture = parsed && parsed.localName === "svg" && !parsed.querySelector("parsererror") && document.adoptNode(parsed);
+  document.getElementById("policy-said").textContent = picture ? picture.querySelector("title").textContent : "the policy cannot be drawn";
+  document.getElementById("policy-picture").replaceChildren(...(picture ? [picture] : []));
 }
 
 const boxOf = (run, key) => (key.startsWith(`${run}/`) ? boxes.get(Number(key.slice(run.length + 1))) : undefined);
