@@ -16,6 +16,7 @@ from planner_bridge.planning.policies.net import FAILURE, PolicyNet, steps_dot, 
 from planner_bridge.planning.policies.policy import policies
 from planner_bridge.planning.policies.steps import GOAL, MOST, NO_WAY_OUT, Branch, Step
 from planner_bridge.planning.policies.task import PolicyAction
+from planner_bridge.tasks.result import PolicyNote
 from pnm.core.net.net import Marking, PetriNet, enabled, fire
 from pnm.errors import InputError
 from tests.support.e2e.command_line import pnm
@@ -63,6 +64,16 @@ def test_the_net_goes_where_the_policy_does(seed: int, states: int) -> None:
     assert net.initial == Marking([place(exact.initial)])
     assert walked <= arcs
     assert walked == arcs or states == 2
+
+
+@settings(max_examples=100)
+@given(st.integers(0, 10**9), st.booleans(), st.booleans())
+def test_a_policy_that_was_noted_has_the_same_steps(seed: int, counts: bool, derives: bool) -> None:
+    problem = random_problem(seed, counts=counts, derives=derives)
+    for policy in policies(problem, 60.0):
+        noted = PolicyNote.of(policy).policy(problem)
+        assert noted is not None
+        assert [(step.as_json(), step.entry) for step in noted.steps()] == [(step.as_json(), step.entry) for step in policy.steps()]
 
 
 def test_one_token_moves_and_ends() -> None:
