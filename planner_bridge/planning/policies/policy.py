@@ -8,7 +8,7 @@ import weakref
 from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
-from functools import cached_property, partial
+from functools import cached_property, partial, reduce
 from itertools import chain, product
 from math import inf, isfinite
 from types import MappingProxyType
@@ -25,7 +25,7 @@ from planner_bridge.planning.policies.numbers import ANY_NUMBER, Scale
 from planner_bridge.planning.policies.proof import unproved
 from planner_bridge.planning.policies.search import Interrupted, Search, SettledPart
 from planner_bridge.planning.policies.steps import MOST, Step, policy_steps
-from planner_bridge.planning.policies.task import OF_METRIC, PartialState, PolicyAction, PolicyTask
+from planner_bridge.planning.policies.task import ANY, NEVER, OF_METRIC, PartialState, PolicyTask
 from pnm.core.knowledge_base import KnowledgeBase, statement_text
 from pnm.core.logic.conditions import Compare, evaluate
 from pnm.core.logic.effects import Effects, changes
@@ -51,16 +51,6 @@ class PolicyEntry(NamedTuple):
     """Of the goal."""
     numbers: Mapping[Fluent, tuple[float, float]] = MappingProxyType({})
     """The ranges in which these numbers have to be."""
-
-    def settled(self, number: int, task: PolicyTask, actions: Mapping[str, PolicyAction]) -> SettledPart:
-        """Return the entry as the search had it; in no state if what it needs can never be so."""
-        true, false = (task.bits(fluent for fluent, value in self.facts.items() if value is truth) for truth in (True, False))
-        action, is_possible = actions.get(str(self)), true.bit_count() == sum(self.facts.values())
-        for fluent, bounds in self.numbers.items():
-            more = next((scale.facts(bounds) for scale in task.scales if scale.fluent == fluent), (0, 0))
-            true, false = true | more[0], false | more[1]
-        need = PartialState(true, false) if is_possible and action is not None else PartialState(1, 1)
-        return SettledPart(1.0 - self.chance, self.expected, self.distance, need, number, action)
 
     def comparisons(self) -> Iterator[Compare]:
         """Yield what has to hold for numbers."""
@@ -415,8 +405,22 @@ def _policy(problem: Problem, search: Search) -> Policy:
 def steps_of(problem: Problem, entries: Sequence[PolicyEntry]) -> list[Step]:
     """Return which entries follow which, from the initial state of the problem on, as whoever has found them has it."""
     task = policy_task(problem)
-    actions = {str(action): action for action in task.actions}
-    return policy_steps(task, [entry.settled(number, task, actions) for number, entry in enumerate(entries)])
+    actions, scales = {str(action): action for action in task.actions}, {scale.fluent: scale for scale in task.scales}
+    bits = {fact: PartialState(1 << number) for number, fact in enumerate(task.facts)}
+
+    def need(entry: PolicyEntry) -> PartialState:
+        facts = [bits.get(fluent, NEVER if value else ANY) for fluent, value in entry.facts.items()]
+        parts = [fact if value else PartialState(0, fact.true) for fact, value in zip(facts, entry.facts.values(), strict=True)]
+        parts += [PartialState(*scales[fluent].facts(bounds)) for fluent, bounds in entry.numbers.items() if fluent in scales]
+        return reduce(PartialState.joined, parts, ANY if str(entry) in actions else NEVER)
+
+    return policy_steps(
+        task,
+        [
+            SettledPart(1.0 - one.chance, one.expected, one.distance, need(one), number, actions.get(str(one)))
+            for number, one in enumerate(entries)
+        ],
+    )
 
 
 def is_proved(problem: Problem, entries: Sequence[PolicyEntry], scales: Sequence[Scale]) -> bool:

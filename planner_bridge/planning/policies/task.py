@@ -8,7 +8,7 @@ outcomes at a time.
 from __future__ import annotations
 
 from collections import Counter, defaultdict
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property, reduce
 from operator import or_
@@ -51,6 +51,8 @@ class PartialState(NamedTuple):
 
 ANY: Final = PartialState()
 """Every state."""
+NEVER: Final = PartialState(1, 1)
+"""No state."""
 LEAST_CHANCE: Final = 1e-12
 """A chance that counts as so much at least, where it is divided by."""
 OF_METRIC: Final = "of the metric"
@@ -240,14 +242,6 @@ class PolicyTask:
     def named(self, bits: int) -> list[Fluent]:
         """Return the stored facts of these bits, without those about numbers."""
         return [fact for number in places(bits & ~self.rules.derived) if not isinstance(fact := self.facts[number], AtLeast)]
-
-    def bits(self, named: Iterable[Fluent]) -> int:
-        """Return the bits of these facts, of those that there are."""
-        return sum(self._numbered.get(fact, 0) for fact in named)
-
-    @cached_property
-    def _numbered(self) -> dict[Fluent | AtLeast, int]:
-        return {fact: 1 << number for number, fact in enumerate(self.facts)}
 
     def texts(self, bits: int) -> list[str]:
         """Return the facts of these bits, those about numbers among them, as PDDL has them."""
