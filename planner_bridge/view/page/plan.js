@@ -70,7 +70,11 @@ export async function showPolicy(model, run) {
   const parsed = text && new DOMParser().parseFromString(text, "image/svg+xml").documentElement;
   const picture = parsed && parsed.localName === "svg" && !parsed.querySelector("parsererror") && document.adoptNode(parsed);
   document.getElementById("policy-said").textContent = picture ? picture.querySelector("title").textContent : "the policy cannot be drawn";
-  document.getElementById("policy-picture").replaceChildren(...(picture ? [picture] : []));
+  const place = document.getElementById("policy-picture");
+  place.replaceChildren(...(picture ? [picture] : []));
+  const now = place.querySelector(".now circle")?.cy.baseVal.value ?? place.scrollTop;
+  const isSeen = now >= place.scrollTop && now <= place.scrollTop + place.clientHeight;
+  if (!isSeen && !place.matches(":hover, :focus")) place.scrollTop = now - place.clientHeight / 2; // who looks elsewhere goes on to do so
 }
 
 const boxOf = (run, key) => (key.startsWith(`${run}/`) ? boxes.get(Number(key.slice(run.length + 1))) : undefined);
