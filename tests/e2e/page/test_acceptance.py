@@ -185,23 +185,28 @@ def goes_back(page: Page) -> None:
     expect(page.locator("#commands")).to_be_visible()
 
 
-def test_outcomes_are_seen_also_in_a_node_that_goes_on_with_a_policy(page: Page, deploy: Callable[..., ProblemDeployment]) -> None:
+def test_outcomes_are_seen_also_in_a_node_that_goes_on_with_a_policy(
+    page: Page, chromium: Browser, deploy: Callable[..., ProblemDeployment]
+) -> None:
     deployment = deploy("cups", texts=CUPS, faults=DROPS, bindings=f"{TOLD}assumed: [held, floor, table]\n", speed="0.5", quick=True)
     simulation = deployment.simulate().ready()
     first, node = begun(deployment)
-    before = page.context.new_page()  # of a node that dies, of which its console may say what it will
+    dying = chromium.new_context()
+    before = dying.new_page()  # of a node that dies, of which its console may say what it will
     before.set_default_timeout(1000 * LIMIT)
     before.goto(node.url)
     send(before, "(held mug)")
     simulation.happens("start", "lift")
     expect(before.locator("#lanes .bar", has_text="pick(mug), attempt 1: 2")).to_have_count(1)
-    before.close()
+    expect(before.locator("#policy-picture text.taken", has_text="2 33%")).to_have_count(1)
+    dying.close()
     first.process.kill()
     _, node = begun(deployment)
     page.goto(node.url)
     expect(page.locator(".task").first).to_contain_text("goal reached")
     for outcome in (1, 2, 3):
         expect(page.locator("#lanes .bar", has_text=f"pick(mug), attempt 1: {outcome}")).to_have_count(1)
+        expect(page.locator("#policy-picture text.taken", has_text=f"{outcome} 33%")).to_have_count(1)
     starts = [event["action"] for event in simulation.objects() if event["event"] == "start"]
     assert starts == ["pick(mug)", "lift(mug)", "pick(mug)", "pick(mug)"]
 
