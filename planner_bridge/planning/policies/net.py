@@ -208,7 +208,7 @@ _STYLE: Final = (
 )
 
 
-class Taken(NamedTuple):
+class TakenBranch(NamedTuple):
     """A branch that was taken: an outcome of a step, and the step that followed; empty and None if it is not known which."""
 
     step: int
@@ -216,7 +216,7 @@ class Taken(NamedTuple):
     then: int | None
 
 
-def steps_svg(steps: Sequence[Step], title: str, taken: Iterable[Taken] = (), now: int | None = None, *, style: str = _STYLE) -> str:
+def steps_svg(steps: Sequence[Step], title: str, taken: Iterable[TakenBranch] = (), now: int | None = None, *, style: str = _STYLE) -> str:
     """Return the picture of a policy; the same steps give the same text. Of many steps the first ones are drawn.
 
     Args:
@@ -278,9 +278,9 @@ def steps_svg(steps: Sequence[Step], title: str, taken: Iterable[Taken] = (), no
     return picture("policy", title, style, right + widest, y, (*drawn, *lit))
 
 
-def followed(policy: Policy, runs: Iterable[PolicyRun]) -> tuple[list[Taken], int | None]:
+def followed(policy: Policy, runs: Iterable[PolicyRun]) -> tuple[list[TakenBranch], int | None]:
     """Return the branches of a policy that runs have taken, in their order, and the step that is under way."""
-    steps, taken, now = {step.entry: step for step in policy.steps()}, list[Taken](), None
+    steps, taken, now = {step.entry: step for step in policy.steps()}, list[TakenBranch](), None
 
     def number(state: KnowledgeBase) -> int:
         if evaluate(policy.problem.goal, state) is True:
@@ -297,7 +297,7 @@ def followed(policy: Policy, runs: Iterable[PolicyRun]) -> tuple[list[Taken], in
             if result.is_done:
                 after = planned.after.get(result.declared if planned.outcome else "")
                 name = step.branches[0].outcome if len(step.branches) == 1 else result.declared
-                taken.append(Taken(step.number, name, None if after is None else number(after)))
+                taken.append(TakenBranch(step.number, name, None if after is None else number(after)))
             elif now is None and not is_over:
                 now = step.number
     return taken, now

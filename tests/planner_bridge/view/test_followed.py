@@ -14,7 +14,7 @@ from playwright.sync_api import expect
 
 from planner_bridge.pddl import parse_domain, parse_problem
 from planner_bridge.pipeline.achieve import achieve
-from planner_bridge.planning.policies.net import Taken, followed
+from planner_bridge.planning.policies.net import TakenBranch, followed
 from planner_bridge.view.follow import Reader
 from planner_bridge.view.story import Followed, Story
 from pnm.actions.faults import Fault, Faults
@@ -34,7 +34,7 @@ CUPS = parse_problem(
 )
 CAME = "3", "2", "3", "3", "2", "1"
 """The outcomes of the picks: missed, fallen, held."""
-Told: TypeAlias = tuple[str, list[Taken], int | None, tuple[str, ...], str]
+Told: TypeAlias = tuple[str, list[TakenBranch], int | None, tuple[str, ...], str]
 """The newest run, what was taken, what is under way, what the calls came to, and the picture."""
 Seen: TypeAlias = dict[int, Told]
 
