@@ -56,6 +56,7 @@ def told(story: Story) -> Told | None:
     found = run and Followed.by(story, run)
     if run is None or found is None:
         return None
+    assert followed(found.policy, [(*one[:2], True) for one in found.runs])[1] is None, "nothing of a run that is over is under way"
     results = [result for one in story.runs.values() for result in one.last_results.values() if result.is_done]
     return run.id.hex, *followed(found.policy, found.runs), tuple(result.declared for result in results), found.picture()
 
