@@ -29,7 +29,7 @@ from planner_bridge.planning.policies.dead_ends import DeadStates
 from planner_bridge.planning.policies.encoding import OutcomePlanner, OutOfTime, Step
 from planner_bridge.planning.policies.task import ANY, LEAST_CHANCE, PartialState, PolicyAction, PolicyOutcome, PolicyTask
 
-_EXACT: Final = 1e-6
+_EXACT: Final = 1e-10
 _CLOSE: Final = 1e-3
 SAME: Final = 1e-6
 """Risks that differ by less are the same."""
@@ -443,7 +443,7 @@ class Search:
 
 
 def _solve(rows: list[tuple[int, float, list[tuple[int, float]]]], values: dict[int, float]) -> None:
-    """Add to each value those of the states that follow, with their chances, to a millionth (Gauss-Seidel iteration)."""
+    """Add to each value those of the states that follow, with their chances, until rounding hides the rest (Gauss-Seidel iteration)."""
     fixed, change = dict(values), inf if any(values.values()) else 0.0
     while change > _EXACT:
         change = 0.0

@@ -209,3 +209,7 @@ def test_what_goes_wrong_is_led_back_to_a_known_way_without_another_plan(monkeyp
     monkeypatch.setattr(OutcomePlanner, "plan", counted)
     policy = next(policies(parse_problem(text, parse_domain(FALLS)), 60.0))
     assert (policy.is_proved, len(asked), len(policy.entries)) == (True, 1, 16)
+
+
+def test_what_is_worked_out_by_steps_looks_no_better_than_what_it_comes_near() -> None:
+    check_best_policy(87738)  # a millionth more had made its best action look worse than one that leads in a circle
