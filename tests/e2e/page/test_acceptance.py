@@ -77,8 +77,8 @@ def chromium() -> Iterator[Browser]:
 
 
 @pytest.fixture
-def page(chromium: Browser) -> Iterator[Page]:
-    """A page that must say nothing on its console but what it asks for in vain."""
+def page(chromium: Browser, deploy: Callable[..., ProblemDeployment]) -> Iterator[Page]:
+    """A page that must say nothing on its console but what it asks for in vain. It is closed before the nodes are."""
     opened, said = chromium.new_page(), list[str]()
     opened.set_default_timeout(1000 * LIMIT)
     opened.on("console", lambda message: said.append(message.text) if not REFUSED.search(message.text) else None)
