@@ -172,7 +172,7 @@ def priced(problem: Problem, rates: ExpectedTimes, *, by_call: bool = False) -> 
     prices, known = dict[str, dict[tuple[str, ...], float]](), problem.objects_by_type
     for schema in problem.domain.actions.values():
         able = [[name for kind in variable.types for name in known.get(kind, ())] for variable in schema.parameters]
-        able = able[: by_call * rates.depth(schema.name, [variable.name[1:] for variable in schema.parameters])]
+        able = able[: by_call * rates.depth(schema.name, schema.names)]
         while prod(map(len, able)) > MOST_PRICES:
             able.pop()
         prices[schema.name] = {arguments: rates.of(schema, arguments) for arguments in product(*able)}

@@ -353,6 +353,8 @@ class PolicyNote:
     @staticmethod
     def of(policy: Policy | None) -> PolicyNote:
         """Return the note of a policy."""
+        if policy is None:
+            return PolicyNote()
         from planner_bridge.planning.policies import policy as policies  # here, because most actions have one outcome
 
         if isinstance(policy, policies.Thinking):

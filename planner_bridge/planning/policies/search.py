@@ -99,7 +99,7 @@ class Search:
         """The best ones for states, among how many."""
         self._best = BestWays({}, {}, {})
         self._followed = set[int]()
-        """States for which that was done."""
+        """States that were given their entry since."""
         self._lost = frozenset[int]()
         """States that are given up."""
         self._plans: list[KeptStep] = []
@@ -258,7 +258,7 @@ class Search:
 
     def _fitting(self, state: int) -> Iterator[KeptStep]:
         """Yield the steps of plans that can be used in the state, the nearest to the goal first."""
-        return (kept for kept in self._plans if kept[2].holds(state) and not self.dead.is_forbidden(kept[3], state))
+        return (kept for kept in self._plans if kept.need.holds(state) and not self.dead.is_forbidden(kept.action, state))
 
     def _onward(self, state: int) -> tuple[int, PartialState] | None:
         """Return how many steps it takes to the goal with luck, and what has to hold for that; None if no way is known."""
