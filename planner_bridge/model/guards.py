@@ -10,10 +10,10 @@ from string import Formatter
 from typing import Final, TypeAlias
 
 from planner_bridge.model.problem import Domain, Problem, once_per_domain
-from pnm.core.logic.conditions import All, Holds, Not, conjuncts
+from pnm.core.logic.conditions import All, Condition, Holds, Not, conjuncts
 from pnm.core.logic.domain import ActionSchema, Declaration
 from pnm.core.logic.effects import Effects, Set
-from pnm.core.logic.expressions import Constant, Fluent, Value, Variable
+from pnm.core.logic.expressions import Constant, Fluent, Value, Variable, bind
 from pnm.core.machine.bindings import Bindings, placeholders
 from pnm.core.machine.plan_graph import GroundAction
 
@@ -63,6 +63,37 @@ def forbid(problem: Problem, forbidden: frozenset[ForbiddenCall]) -> Problem:
     guards = {(facts[call.action, call.fixed], *(call.arguments[number] for number in call.fixed)): str(call) for call in forbidden}
     init: dict[Fluent, Value] = {**problem.init, **dict.fromkeys(guards, True)}
     return replace(problem, domain=domain, init=init, guards={**problem.guards, **guards})
+
+
+def without_guards(problem: Problem) -> Problem:
+    """Return the problem as it was before calls were forbidden."""
+    names = {fluent[0] for fluent in problem.guards}
+
+    def unguarded(schema: ActionSchema) -> ActionSchema:
+        condition = schema.precondition
+        while isinstance(condition, All) and condition.operands and not names.isdisjoint(_guard(condition.operands[0])[:1]):
+            condition = condition.operands[1]
+        return replace(schema, precondition=condition)
+
+    predicates = {name: declared for name, declared in problem.domain.predicates.items() if name not in names}
+    actions = {name: unguarded(schema) for name, schema in problem.domain.actions.items()}
+    init = {fluent: value for fluent, value in problem.init.items() if fluent not in problem.guards}
+    return replace(problem, domain=replace(problem.domain, predicates=predicates, actions=actions), init=init, guards={})
+
+
+def is_forbidden(problem: Problem, action: str, arguments: tuple[str, ...]) -> bool:
+    """Return whether a guard of the problem forbids the ground action."""
+    schema = problem.domain.actions[action]
+    env = schema.environment(arguments)
+    return any(bind(_guard(part), env) in problem.guards for part in conjuncts(schema.precondition))
+
+
+def _guard(condition: Condition) -> Fluent:
+    """Return the fact that must not be true; empty if the condition is another one."""
+    match condition:
+        case Not(Holds(fluent)):
+            return fluent
+    return ()
 
 
 @once_per_domain

@@ -15,7 +15,7 @@ from math import inf
 from typing import TYPE_CHECKING, Final
 
 from planner_bridge.model.grounding import initial_knowledge
-from planner_bridge.model.plan import CancelToken, Plan, PlanningResult, PlanningStatus, PlanStep
+from planner_bridge.model.plan import CancelToken, Plan, PlanningResult, PlanningStatus, PlanStep, Policy
 from planner_bridge.model.problem import TOTAL_TIME, Problem
 from planner_bridge.model.progression import Happening, NotApplicable, Progression, Stage, calls_of, happenings, refuse, snapshot
 from planner_bridge.ordering.plan_to_graph import plan_graph
@@ -62,6 +62,7 @@ def solve(
     bindings: Bindings | None = None,
     learned: Rates | None = None,
     known: Plan | None = None,
+    before: Policy | None = None,
     is_looked_at: bool = False,
 ) -> PlanningResult:
     """Search for a plan, validate it, and leave out what it does not need, at most `timeout` seconds.
@@ -78,6 +79,7 @@ def solve(
         bindings: say how long actions take, where the domain does not, and which resources they need for themselves.
         learned: say how long they take, how often they succeed, and which outcomes they have, by what has happened.
         known: a plan that robots carry out meanwhile: Kairos looks for a better one alone, and for longer.
+        before: a policy that was followed so far: what was found for it is used if it is for the same goal.
         is_looked_at: whether the plan is for people alone. Unless they say how long it may be improved, they get plans with times or a
             metric at once; of others a lower bound says how far they are from the best, and when there is no need to look for a better one.
 
@@ -105,7 +107,7 @@ def solve(
 
         note = ""
         if planner == DEFAULT_PLANNER:
-            from planner_bridge.planning.policies.policy import Thinking
+            from planner_bridge.planning.policies.policy import PolicySearch, Thinking
             from planner_bridge.planning.policies.task import Unsuitable
 
             began = time.monotonic()
@@ -116,7 +118,8 @@ def solve(
                 def at_work(taken: float) -> float:
                     return max(_POLICY_AT_WORK, AT_WORK * worth(taken)) if improve is None else improve
 
-                thinking = Thinking(problem, timeout, cancel, seconds, chances, at_work)
+                last = before.search if isinstance(before, Thinking) else None
+                thinking = Thinking(PolicySearch(problem, seconds, chances, last), timeout, cancel, at_work)
                 policy = thinking.wait(began + _FOR_POLICIES * timeout - time.monotonic(), improve, worth)
                 if policy is not None and (plan := policy.plan(initial_knowledge(problem))) is not None:
                     unseen = untold(problem, bindings, bindings.assumed) if bindings else ()

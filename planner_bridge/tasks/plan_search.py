@@ -484,7 +484,7 @@ class PlanSearch:
         planner, improve, executor = settings.planner, settings.improve, settings.executor
         if improve is None and is_virtual() and not (problem.domain.uncertain or problem.has_preferences):
             improve = REHEARSAL
-        told = partial(solve, problem, bindings=settings.bindings, learned=settings.learned)
+        told = partial(solve, problem, bindings=settings.bindings, learned=settings.learned, before=self._control.policy)
 
         def search(limit: float) -> PlanningResult:
             found = told(planner=planner, timeout=limit, improve=improve, cancel=stop, executor=executor)

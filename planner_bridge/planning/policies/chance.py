@@ -292,11 +292,12 @@ def take_chances(search: Search, until: float) -> Iterator[None]:
         return state in hopeless
 
     def follow() -> float:
-        """Make entries of what is best; return its risk."""
+        """Make entries of what is best; return its risk, which is 1 if there are none."""
         best = envelope.best(inf)
-        if task.initial in best.choice:
-            search.give_up(frozenset(one for one, risk in best.risks.items() if risk >= 1.0 - SAME))
-            search.follow(best, task.initial)
+        if task.initial not in best.choice:
+            return 1.0
+        search.give_up(frozenset(one for one, risk in best.risks.items() if risk >= 1.0 - SAME))
+        search.follow(best, task.initial)
         return best.risks[task.initial]
 
     if end(task.initial) is not None or is_lost(task.initial):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from bisect import bisect_right
 from collections import defaultdict, deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
@@ -10,6 +11,7 @@ from math import inf
 from typing import Final, TypeAlias, assert_never
 
 from planner_bridge.model.grounding import conditions_of, dynamic_names, initial_knowledge, modelled_duration
+from planner_bridge.model.guards import is_forbidden, without_guards
 from planner_bridge.model.problem import TOTAL_TIME, Problem
 from planner_bridge.model.rates import NO_RATES, Call, Chance
 from planner_bridge.planning.policies.numbers import AtLeast, PartlyKnown, Scale, values_from
@@ -85,12 +87,50 @@ def policy_task(problem: Problem, seconds: Seconds | None = None, chances: Chanc
     return _Grounding(problem, seconds, chances).task()
 
 
+def _changing(problem: Problem) -> frozenset[str]:
+    """Return the predicates and functions that actions change, and what follows from these."""
+    changing, rules = dynamic_names(problem), problem.domain.rules
+    return changing.union(name for name in rules.derived if rules.base((name,)) & changing)
+
+
+def task_from(known: PolicyTask, before: Problem, now: Problem) -> PolicyTask | None:
+    """Return the task of a problem, with the facts and the actions of a task that is known; None if it needs others.
+
+    The state may be another one, and more calls may be forbidden. What actions cost, and how likely their outcomes are, stays as it was.
+
+    Args:
+        before: the problem of the task that is known.
+    """
+    state, changing, alike = initial_knowledge(now), _changing(now), []
+    for problem in (without_guards(before), without_guards(now)):
+        constant = {fluent: value for fluent, value in problem.init.items() if fluent[0] not in changing}
+        alike.append(replace(problem, domain=replace(problem.domain, requirements=()), init=constant))
+    if alike[0] != alike[1] or not before.guards.keys() <= now.guards.keys():
+        return None
+    bits = {fact: 1 << number for number, fact in enumerate(known.facts) if not isinstance(fact, AtLeast)}
+    initial = 0
+    for fact in (fact for fact, value in now.init.items() if value is True and fact[0] in changing):
+        if not bits.get(fact, 0) & known.reachable:
+            return None
+        initial |= bits[fact]
+    for scale in known.scales:
+        value = state.value(scale.fluent)
+        value = round(float(value), _DIGITS) if is_number(value) else -inf
+        number = bisect_right(scale.values, value) - 1
+        if number < 0 or (scale.is_exact and scale.values[number] != value):
+            return None
+        initial |= scale.up_to(number)
+    if any((initial & group).bit_count() != 1 for group in known.groups):
+        return None
+    actions = tuple(action for action in known.actions if not is_forbidden(now, action.name, action.arguments))
+    return replace(known, initial=known.rules.state(initial), actions=actions)
+
+
 class _Grounding:
     """The facts of a problem that actions change, in the order in which they were met: mutable state."""
 
     def __init__(self, problem: Problem, seconds: Seconds | None, chances: Chances | None) -> None:
-        self.problem, self.state, self.rules, changing = problem, initial_knowledge(problem), problem.domain.rules, dynamic_names(problem)
-        self.changing = changing.union(name for name in self.rules.derived if self.rules.base((name,)) & changing)
+        self.problem, self.state, self.rules, self.changing = problem, initial_knowledge(problem), problem.domain.rules, _changing(problem)
         self.constant = PartlyKnown({}, self.state, self.changing)
         """What is known if nothing is known of what changes."""
         self.seconds = seconds or (lambda action: action.duration or 0.0)

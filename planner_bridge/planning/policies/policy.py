@@ -20,7 +20,7 @@ from planner_bridge.model.problem import Problem
 from planner_bridge.model.progression import snapshot
 from planner_bridge.planning.policies.chance import improve, take_chances
 from planner_bridge.planning.policies.encoding import OutcomePlanner
-from planner_bridge.planning.policies.grounding import Chances, Seconds, policy_task
+from planner_bridge.planning.policies.grounding import Chances, Seconds, policy_task, task_from
 from planner_bridge.planning.policies.numbers import ANY_NUMBER, Scale
 from planner_bridge.planning.policies.proof import unproved
 from planner_bridge.planning.policies.search import Interrupted, Search, SettledPart
@@ -215,27 +215,19 @@ def _after(effects: Effects, before: KnowledgeBase) -> KnowledgeBase:
 
 
 class Thinking:
-    """A policy that becomes better while robots work. The mutable state is those found so far, the best one first: a thread adds to them.
-
-    Raises `Unsuitable` if the problem has more than facts and numbers that only actions change.
-    """
+    """A policy that becomes better while robots work. Those found so far, the best one first, are mutable state: a thread adds to them."""
 
     def __init__(
-        self,
-        problem: Problem,
-        timeout: float,
-        cancel: CancelToken | None = None,
-        seconds: Seconds | None = None,
-        chances: Chances | None = None,
-        at_work: Callable[[float], float] = lambda _: inf,
+        self, search: PolicySearch, timeout: float, cancel: CancelToken | None = None, at_work: Callable[[float], float] = lambda _: inf
     ) -> None:
-        self.problem = problem
+        self.problem: Problem = search.problem
+        self.search = search
         self.policies: tuple[Policy, ...] = ()
         self.error: Exception | None = None
         """What ended the search before its time, a fault of this program."""
         self._found, self._over = threading.Event(), threading.Event()
         stop = _Either(cancel)
-        better = policies(problem, timeout, stop, seconds, chances, at_work)
+        better = search.policies(timeout, stop, at_work)
         thread = threading.Thread(target=_think, args=(weakref.ref(self), better, self._found, self._over), daemon=True)
         thread.start()
         weakref.finalize(self, _end, stop, thread)
@@ -320,48 +312,62 @@ def _end(stop: _Either, thread: threading.Thread) -> None:
         thread.join(10.0)  # a process that ends within a call of Kairos is aborted: on a busy machine a second is too short
 
 
-def policies(
-    problem: Problem,
-    timeout: float,
-    cancel: CancelToken | None = None,
-    seconds: Seconds | None = None,
-    chances: Chances | None = None,
-    at_work: Callable[[float], float] = lambda _: inf,
-) -> Iterator[Policy]:
-    """Return better and better policies: that reach the goal for certain, or else with the best chance that is found so far.
+class PolicySearch:
+    """The search for policies of a problem. The mutable state is what it has found so far, which another search may take over.
 
     Args:
         seconds: how long actions take, where policies are measured by that; by default, as long as the domain says.
         chances: how likely outcomes are; by default, as the domain says, and else all of an action as likely.
-        at_work: returns the seconds for which a policy that takes so many, and is certain, is improved.
+        before: a search for the same goal, from another state or with fewer forbidden calls.
 
     Raises `Unsuitable` if the problem has more than facts and numbers that only actions change.
     """
-    return _better(problem, policy_task(problem, seconds, chances), time.monotonic(), timeout, cancel, at_work)
 
+    def __init__(
+        self, problem: Problem, seconds: Seconds | None = None, chances: Chances | None = None, before: PolicySearch | None = None
+    ) -> None:
+        known = task_from(before.task, before.problem, problem) if before else None
+        self.problem: Problem = problem
+        self.task: PolicyTask = known or policy_task(problem, seconds, chances)
+        self.certain: Search | None = before.certain if before and known else None
+        """The last search for a policy that reaches the goal for certain."""
 
-def _better(
-    problem: Problem, task: PolicyTask, began: float, timeout: float, cancel: CancelToken | None, at_work: Callable[[float], float]
-) -> Iterator[Policy]:
-    until, kairos = began + timeout, OutcomePlanner(problem, task)
-    search = Search(task, kairos, began + timeout * _CERTAIN, cancel)
-    with suppress(Interrupted):
-        if (yield from _certain(problem, search, until, at_work)):
-            return
-    if all(scale.is_exact for scale in task.scales):
-        chances = Search(task, kairos, until, cancel)
-        chances.entries += search.entries
+    def policies(
+        self, timeout: float, cancel: CancelToken | None = None, at_work: Callable[[float], float] = lambda _: inf
+    ) -> Iterator[Policy]:
+        """Yield better and better policies: that reach the goal for certain, or else with the best chance that is found so far.
+
+        Args:
+            at_work: returns the seconds for which a policy that takes so many, and is certain, is improved.
+        """
+        problem, task, began = self.problem, self.task, time.monotonic()
+        until, kairos = began + timeout, OutcomePlanner(problem, task)
+        search, before = Search(task, kairos, began + timeout * _CERTAIN, cancel), self.certain
+        if before is not None:
+            search.take_over(before)
+        self.certain = search
         with suppress(Interrupted):
-            for _ in take_chances(chances, until):
-                yield _policy(problem, chances)
-    if not search.dead.is_certain:  # a plan that was not found in time may be found in more
-        kairos.is_patient, known = True, search.entries
-        search = Search(task, kairos, until, cancel)
-        search.entries += known
-    search.until = until
-    with suppress(Interrupted):
-        if not search.is_over(until):
-            yield from _certain(problem, search, until, at_work)
+            if (yield from _certain(problem, search, until, at_work)):
+                return
+        if all(scale.is_exact for scale in task.scales):
+            chances = Search(task, kairos, until, cancel)
+            chances.entries += search.entries
+            with suppress(Interrupted):
+                for _ in take_chances(chances, until):
+                    yield _policy(problem, chances)
+        if not search.dead.is_certain:  # a plan that was not found in time may be found in more
+            kairos.is_patient, known = True, search.entries
+            self.certain = search = Search(task, kairos, until, cancel)
+            search.entries += known
+        search.until = until
+        with suppress(Interrupted):
+            if not search.is_over(until):
+                yield from _certain(problem, search, until, at_work)
+
+
+def policies(problem: Problem, timeout: float, seconds: Seconds | None = None) -> Iterator[Policy]:
+    """Return better and better policies; see `PolicySearch`."""
+    return PolicySearch(problem, seconds).policies(timeout)
 
 
 def _certain(problem: Problem, search: Search, until: float, at_work: Callable[[float], float]) -> Generator[Policy, None, bool]:

@@ -114,6 +114,26 @@ class Search:
         self._avoided = set[int]()
         """States in which plans for others led in a circle."""
 
+    def take_over(self, other: Search) -> None:
+        """Take over what a search has found for the same facts and goal, with all actions of this one, and maybe more.
+
+        Dead ends stay, and what is forbidden because of them; plans do without what they have in actions that are missing, and entries
+        if none is missing. The other search may go on meanwhile, in its thread: what is taken is copied at once.
+        """
+        actions = set(self.task.actions)
+        for end in [*other.dead.ends]:
+            self.dead.add(end)
+        self._plans, self._kept = [step for step in [*other._plans] if step.action in actions], other._kept.copy()
+        entries = [*other.entries]
+        self.entries = entries if all(entry.action in actions for entry in entries) else []
+        if other.dead.is_certain:  # else a plan may only not have been found in time
+            self._doomed = other._doomed.copy()
+            for action, parts in [*other.dead.forbidden.items()]:
+                for part in parts if action in actions else ():
+                    self.dead.forbid(action, part)
+            for state, forbidden in [*other._forbidden_here.items()]:
+                self._forbidden_here[state] = [(action, part) for action, part in forbidden if action in actions]
+
     def is_over(self, until: float) -> bool:
         """Return whether it is this time, on the clock of `time.monotonic`, or the search was cancelled."""
         return time.monotonic() > until or (self._cancel is not None and self._cancel.is_set())
@@ -427,19 +447,22 @@ class Search:
             _solve(rows, values)
         # what is not solved to the end must not look better than the way out, or it would be preferred to it, for good
         least = min(entry.risk for found in ends.values() for _, entry in found)
+        new: list[SettledPart] = []
         for state in component:
             need, its = self.task.closed(self.task.rules.stored(needs[state], state)), max(least, round(risk[state], 6))
-            entry = SettledPart(its, expected[state], distance[state], need, len(self.entries), actions[state])
-            if not self._has_as_good(entry):
-                self.entries.append(entry)
+            entry = SettledPart(its, expected[state], distance[state], need, len(self.entries) + len(new), actions[state])
+            if not (_has_as_good(self.entries, entry) or _has_as_good(new, entry)):
+                new.append(entry)
+        self.entries += new  # at once, because another search may take them over meanwhile
         self._followed.update(component)
         return True
 
-    def _has_as_good(self, entry: SettledPart) -> bool:
-        """Return whether there is an entry that is as good, for all states of this one. It is asked thousands of times of thousands."""
-        risk, expected, _, (true, false), *_ = entry
-        fitting = (other for other in self.entries if not (other[3][0] & ~true or other[3][1] & ~false))
-        return any(other[0] < risk or (other[0] == risk and other[1] <= expected) for other in fitting)
+
+def _has_as_good(entries: list[SettledPart], entry: SettledPart) -> bool:
+    """Return whether one of the entries is as good, for all states of this one. It is asked thousands of times of thousands."""
+    risk, expected, _, (true, false), *_ = entry
+    fitting = (other for other in entries if not (other[3][0] & ~true or other[3][1] & ~false))
+    return any(other[0] < risk or (other[0] == risk and other[1] <= expected) for other in fitting)
 
 
 def _solve(rows: list[tuple[int, float, list[tuple[int, float]]]], values: dict[int, float]) -> None:

@@ -275,6 +275,12 @@ class PolicyTask:
                 found[min(places(part.true), key=counts.__getitem__, default=-1)].append((part, action))
         return found
 
+    @cached_property
+    def reachable(self) -> int:
+        """The facts that may become true, if nothing is ever undone."""
+        changes = (change.add for action in self.actions for outcome in action.outcomes for change in outcome.changes)
+        return reduce(or_, changes, self.initial)
+
     def excluded(self, true: int) -> int:
         """Return the facts that cannot be true together with these."""
         return sum(group & ~true for group in self.groups if group & true)
