@@ -12,9 +12,9 @@ from planner_bridge.model.grounding import initial_knowledge
 from planner_bridge.model.problem import Problem
 from planner_bridge.pddl.reader import parse_domain, parse_problem
 from planner_bridge.planning.policies import policy as room
-from planner_bridge.planning.policies.policy import Policy, policies
+from planner_bridge.planning.policies.policy import Policy, PolicySearch, policies
 from planner_bridge.planning.policies.search import Search
-from planner_bridge.planning.policies.task import PolicyAction, PolicyTask, Unsuitable
+from planner_bridge.planning.policies.task import PolicyAction, Unsuitable
 from planner_bridge.planning.solve import solve
 from pnm.core.machine.bindings import Bindings
 
@@ -67,11 +67,11 @@ def test_a_stretch_that_leads_nowhere_comes_to_an_end() -> None:
 
 
 def test_a_fault_of_the_search_is_told_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    def failing(given: Problem, task: PolicyTask, *others: object) -> Iterator[Policy]:
+    def failing(search: PolicySearch, *_: object) -> Iterator[Policy]:
         raise ZeroDivisionError("of the search")
-        yield Policy(given, ())
+        yield Policy(search.problem, ())
 
-    monkeypatch.setattr(room, "_better", failing)
+    monkeypatch.setattr(PolicySearch, "policies", failing)
     with pytest.raises(ZeroDivisionError, match="of the search"):
         solve(problem("(:action go :parameters () :effect (oneof (done) (and)))"), timeout=1e6)
 

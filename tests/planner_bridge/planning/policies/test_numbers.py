@@ -49,7 +49,7 @@ def house(battery: float = 22, domain: str = DOOR) -> Problem:
 
 
 def found(problem: Problem, seconds: Seconds | None = None) -> Policy:
-    *_, best = policies(problem, 60.0, None, seconds)
+    *_, best = policies(problem, 60.0, seconds)
     return best
 
 

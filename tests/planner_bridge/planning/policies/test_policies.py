@@ -17,7 +17,7 @@ from planner_bridge.pddl.reader import parse_domain, parse_problem
 from planner_bridge.planning.policies.chance import Envelope
 from planner_bridge.planning.policies.dead_ends import DeadStates
 from planner_bridge.planning.policies.encoding import OutcomePlanner, Step
-from planner_bridge.planning.policies.policy import Policy, policies
+from planner_bridge.planning.policies.policy import Policy, PolicySearch, policies
 from planner_bridge.planning.policies.proof import unproved
 from planner_bridge.planning.solve import solve
 from tests.support.pddl.chance import Exact, check_best_policy
@@ -128,12 +128,12 @@ def test_what_policies_do_not_know_is_said_and_planned_as_if_one_could_choose() 
 
 
 def test_where_no_policy_is_found_in_time_there_is_a_plan(monkeypatch: pytest.MonkeyPatch) -> None:
-    def never(problem: Problem, timeout: float, cancel: CancelToken, *_: object) -> Iterator[Policy]:
+    def never(search: PolicySearch, timeout: float, cancel: CancelToken, *_: object) -> Iterator[Policy]:
         while not cancel.is_set():
             time.sleep(0.01)
         yield from ()
 
-    monkeypatch.setattr("planner_bridge.planning.policies.policy.policies", never)
+    monkeypatch.setattr(PolicySearch, "policies", never)
     result = solve(tires(), timeout=2.0)
     assert (result.policy, result.message) == (None, "no policy was found in time")
     assert result.plan is not None
