@@ -79,6 +79,8 @@ class DeadStates:
         read = [part for action in task.actions for part in action.conditions] + [
             change.condition for action in task.actions for outcome in action.outcomes for change in outcome.changes
         ]
+        self._weights = [self._weight(literal) for literal in range(self._count)]
+        """By which a literal is chosen, the least first, to say why the goal cannot be reached."""
         self.read = task.rules.read
         """The facts on which anything depends."""
         for part in (*read, *task.goal):
@@ -90,6 +92,10 @@ class DeadStates:
         self._needed_by.append([])
         self._made_by.append([])
         return self._count - 1
+
+    def _weight(self, literal: int) -> tuple[bool, int, int]:
+        in_group = 2 <= literal <= self._places.stop + 1 and not literal & 1 and 1 << (literal // 2 - 1) in self._groups
+        return not in_group, len(self._made_by[literal]), literal
 
     def _rule(self, needs: list[int], makes: Iterable[int]) -> None:
         number = len(self._needs)
@@ -152,16 +158,11 @@ class DeadStates:
     def _reason(self, reached: bytearray, state: int) -> PartialState:
         """Return literals of the state that keep the goal from being reached: each rule for the goal misses one, and so on."""
         chosen, waiting = {_GOAL}, [_GOAL]
-        count = 2 * len(self.task.facts) + 2
-
-        def weight(literal: int) -> tuple[bool, int, int]:
-            in_group = literal < count and not literal & 1 and 1 << (literal // 2 - 1) in self._groups
-            return not in_group, len(self._made_by[literal]), literal
-
+        count, weight, needs = 2 * len(self.task.facts) + 2, self._weights.__getitem__, self._needs
         while waiting:
             for rule in self._made_by[waiting.pop()]:
-                if not any(literal in chosen for literal in self._needs[rule]):
-                    literal = min((literal for literal in self._needs[rule] if not reached[literal]), key=weight)
+                if chosen.isdisjoint(needs[rule]):
+                    literal = min([literal for literal in needs[rule] if not reached[literal]], key=weight)
                     chosen.add(literal)
                     waiting.append(literal)
         true = false = 0
@@ -182,9 +183,8 @@ class DeadStates:
         """Note a dead end, and forbid what leads to it."""
         self.ends.append(part)
         true, false = part
-        for condition, excluded, add, delete, action in dict.fromkeys(
-            way for place in places(true | false) for way in self._leading[place, bool(false >> place & 1)]
-        ):
+        leading = (way for place in places(true | false) for way in self._leading[place, bool(false >> place & 1)])
+        for condition, excluded, add, delete, action in {id(way): way for way in leading}.values():
             if not (add & false or delete & true or (condition.false | excluded) & true & ~add or condition.true & false & ~delete):
                 self.forbid(action, condition.joined(PartialState(true & ~add, false & ~delete)))
 
@@ -202,6 +202,7 @@ class DeadStates:
         escape = self._literal()
         for literal in _literals(PartialState(part.false, part.true)):
             self._rule([literal], [escape])
+        self._weights.append(self._weight(escape))
         for rule in self._rules_of[action]:
             self._needs[rule].append(escape)
             self._left[rule] += 1
