@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 from planner_bridge.model.problem import Domain, Problem, once_per_domain
 from pnm.core.knowledge_base import KnowledgeBase
-from pnm.core.logic.conditions import Condition
+from pnm.core.logic.conditions import Condition, names
 from pnm.core.logic.domain import ActionSchema, ProblemModel, Types
 from pnm.core.logic.effects import TimedChange, When, every_effect, names_written
 from pnm.core.logic.expressions import UNKNOWN, Fluent, OnlyObjects, State, Unknown, Value, fluent_text, value_of
@@ -82,8 +82,8 @@ def initial_knowledge(*described: Problem | HandWrittenPlan) -> KnowledgeBase:
             before, other = values.setdefault(fluent, (value, name))
             if before != value:
                 raise InputError(f"{other} and {name} begin with different values of {fluent_text(fluent)}: {before}, {value}")
-        for kind, names in objects.items():
-            members[kind] = tuple(dict.fromkeys((*members.get(kind, ()), *names)))
+        for kind, those in objects.items():
+            members[kind] = tuple(dict.fromkeys((*members.get(kind, ()), *those)))
         shared |= {str(rule): rule for rule in rules}
     facts = {fluent: value for fluent, (value, _) in values.items()}
     return KnowledgeBase(facts, objects=members, rules=Rules(tuple(shared.values())))
@@ -106,6 +106,12 @@ def conditions_of(problem: Problem) -> Iterator[Condition]:
         yield from (effect.condition for effect in effects if isinstance(effect, When))
     for constraint in (*problem.domain.constraints, *problem.constraints):
         yield from constraint.conditions
+
+
+def decisive_names(problem: Problem) -> frozenset[str]:
+    """Return the predicates and functions that may change, and that some condition depends on: what tells states apart."""
+    read = (name for condition in conditions_of(problem) for name in names(condition))
+    return dynamic_names(problem) & problem.domain.rules.base(read)
 
 
 def problem_now(problem: Problem, knowledge: KnowledgeBase, elapsed: float = 0.0) -> Problem:

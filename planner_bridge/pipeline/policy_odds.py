@@ -20,7 +20,7 @@ from random import Random
 from typing import Final
 
 from planner_bridge.model.determinization import untold
-from planner_bridge.model.grounding import conditions_of, dynamic_names, initial_knowledge, problem_now
+from planner_bridge.model.grounding import decisive_names, initial_knowledge, problem_now
 from planner_bridge.model.plan import Policy
 from planner_bridge.model.problem import Problem
 from planner_bridge.model.progression import NotApplicable, Progression, snapshot
@@ -42,7 +42,7 @@ from planner_bridge.pipeline.odds import (
 from pnm.core.execution.call_results import CallResult
 from pnm.core.execution.run_view import RunView
 from pnm.core.knowledge_base import KnowledgeBase
-from pnm.core.logic.conditions import evaluate, names
+from pnm.core.logic.conditions import evaluate
 from pnm.core.logic.effects import Alternative
 from pnm.core.logic.expressions import Fluent
 from pnm.core.machine.bindings import Bindings
@@ -107,7 +107,7 @@ class PolicyChain:
         """
         if any(untold(problem, bindings, bindings.assumed)):
             return None
-        read = dynamic_names(problem) & problem.domain.rules.base(name for one in conditions_of(problem) for name in names(one))
+        read = decisive_names(problem)
         numbers: dict[frozenset[tuple[Fluent, object]], int] = {}
         states: list[KnowledgeBase] = []
 

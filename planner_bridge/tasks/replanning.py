@@ -10,7 +10,9 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from types import MappingProxyType
 from typing import Final
+from zlib import crc32
 
+from planner_bridge.model.grounding import decisive_names
 from planner_bridge.model.guards import ANY, ForbiddenCall
 from planner_bridge.model.plan import Policy
 from planner_bridge.model.problem import Problem
@@ -31,6 +33,12 @@ from pnm.tasks import Code
 
 MAX_SHORTENED: Final = 100
 """Calls of the longest rest of a plan that needless calls are removed from."""
+_ALIKE: Final = 60
+"""Outcomes of a call in a row that are the same, at least, before it is given up."""
+_ABSURD: Final = 1e-9
+"""A chance of that which is absurd: its other outcomes never come about, or nothing tells them."""
+_STATES: Final = 50
+"""States that are remembered to see that nothing is new."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,6 +94,43 @@ class Reached:
         return Reached(seen, left, 0) if has_progressed else replace(self, in_vain=self.in_vain + 1)
 
 
+@dataclass(frozen=True, slots=True)
+class Repeats:
+    """How often calls have come to the same declared outcome, all in states that were there before."""
+
+    states: tuple[int, ...] = ()
+    """Digests of the last states after a declared outcome."""
+    ends: Mapping[ForbiddenCall, tuple[str, int]] = field(default_factory=dict)
+    """The last outcome of each call, and how often in a row, since there was a new state."""
+
+    def after(self, results: Iterable[CallResult], now: Problem) -> Repeats:
+        """Return them after one more stretch, with its results, that has led to the initial state of this problem."""
+        read = decisive_names(now)
+        facts = [sorted(one for one in now.init.items() if one[0][0] in read), sorted(one for one in now.unknown if one[0] in read)]
+        state = crc32(repr(facts).encode())
+        is_new = state not in self.states
+        ends = {} if is_new else dict(self.ends)
+        for result in results:
+            call = ForbiddenCall.of(result.call.action)
+            label, times = ends.get(call, ("", 0))
+            ends[call] = result.declared, times + 1 if result.declared == label else 1
+        return Repeats((*self.states, state)[-_STATES:] if is_new else self.states, ends)
+
+    def livelock(self, results: Iterable[CallResult]) -> str:
+        """Return which call goes on as is absurdly unlikely by the chances of its outcomes, declared or even; empty if none does."""
+        for result in results:
+            label, times = self.ends[ForbiddenCall.of(result.call.action)]
+            ways, came = result.call.action.outcomes, label.split(" or ")
+            never = [way.name for way in ways if way.name not in came]
+            chance = sum(1.0 / len(ways) if way.chance is None else way.chance for way in ways if way.name in came)
+            if times >= _ALIKE and (not never or chance**times < _ABSURD):
+                missing = f"{', '.join(never)} never came about" if never else "nothing tells which it was"
+                expected = f"its outcomes are {', '.join(way.name for way in ways)}, and {missing}"
+                look = "look at 'outcomes' of its binding, and at what is reported"
+                return f"{result.call.action} has ended {times} times in a row as {label}, and nothing is new; {expected}: {look}"
+        return ""
+
+
 @dataclass(frozen=True)
 class History:
     """The memory of a task about its failures."""
@@ -108,6 +153,7 @@ class History:
     stretches: int = 0
     refused: frozenset[GroundAction] = frozenset()
     """Actions whose precondition was not true: as long as a planner counts what is unknown of it as false, they would not begin again."""
+    repeats: Repeats = Repeats()
 
     @staticmethod
     def of_plan(given_up: Iterable[GroundAction], unconfirmed: Iterable[GroundAction], limits: Limits) -> History:
@@ -155,6 +201,7 @@ class History:
             self.reached,
             self.stretches,
             self.refused | refused,
+            self.repeats,
         )
 
     def given_up(self, limits: Limits) -> GiveUp | None:
@@ -360,10 +407,13 @@ def next_stretch(
     policy: Policy | None,
 ) -> tuple[NextStretch | GiveUp, History]:
     """Decide what follows a stretch that has come to its end, with all calls done; see `decide`."""
-    history = replace(history, stretches=history.stretches + 1)
+    uncertain = [result for result in progress.calls if result.declared]
+    history = replace(history, stretches=history.stretches + 1, repeats=history.repeats.after(uncertain, now))
     if given_up := history.given_up(limits):
         return given_up, history
-    turned_out = [f"{result.call.action}: {result.declared}" for result in progress.calls if result.declared]
+    if livelock := history.repeats.livelock(uncertain):
+        return GiveUp(livelock), history
+    turned_out = [f"{result.call.action}: {result.declared}" for result in uncertain]
     knows_all = policy is not None and now.objects.keys() <= policy.problem.objects.keys()  # others were found since
     plan = policy.stretch(knowledge) if policy and knows_all else None
     rest = stretch_graph(now, plan) if plan else None

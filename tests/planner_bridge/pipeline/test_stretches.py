@@ -75,6 +75,17 @@ def test_what_never_comes_ends_with_a_reason() -> None:
     assert "5 declared outcomes have not led to the goal" in result.reason
 
 
+def test_a_call_whose_other_outcomes_never_come_is_given_up_by_their_chances() -> None:
+    result, _ = pursued(cups(), drawn(*[NOTHING] * 100))
+    assert (result.code, len(result.calls)) == (Code.REPLAN_LIMIT, 1 + 60)
+    assert "pick(mug) has ended 60 times in a row as 3, and nothing is new; its outcomes are 1, 2, 3, and 1, 2 never came" in result.reason
+
+
+def test_a_circle_of_calls_is_given_up_too() -> None:
+    result, _ = pursued(cups(), drawn(*[FLOOR] * 100))
+    assert (result.code, len(result.calls)) == (Code.REPLAN_LIMIT, 2 * 60)  # it is lifted between
+
+
 def test_a_real_failure_of_such_a_call_is_tried_again_and_then_planned_around() -> None:
     result, _ = pursued(cups(), aborts("pick"))
     assert not result.goal_reached

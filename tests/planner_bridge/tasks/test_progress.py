@@ -3,17 +3,22 @@
 from __future__ import annotations
 
 import asyncio
+from dataclasses import replace
 from itertools import pairwise
 from random import Random
 
 import pytest
 
+from planner_bridge.model.plan import Plan, PlanStep
+from planner_bridge.ordering.plan_to_graph import plan_graph
 from planner_bridge.pddl import parse_domain, parse_problem
-from planner_bridge.tasks.replanning import GiveUp, Limits, Reached
+from planner_bridge.tasks.replanning import GiveUp, Limits, Reached, Repeats
 from planner_bridge.tasks.settings import Settings
 from pnm.actions.faults import Fault, FaultKind, Faults, HiddenChange
+from pnm.core.execution.call_results import CallResult
 from pnm.core.logic.expressions import UNKNOWN
 from pnm.core.machine.bindings import Binding, Bindings
+from pnm.core.machine.requests import CallOutcome
 from pnm.tasks import Code
 from tests.support.pddl.problems import rooms
 from tests.support.tasks.replanning import decisions, pursued
@@ -50,6 +55,34 @@ def test_a_task_that_always_comes_too_late_ends_and_says_so() -> None:
     assert (result.code, result.replans) == (Code.REPLAN_LIMIT, 12), "two of them found something out"
     assert result.reason.startswith(f"the last 10 {IN_VAIN}; last failure: move(r1, ")
     assert decisions(result)[-1] is GiveUp
+
+
+WASH = """(define (domain wash) (:requirements :fluents) (:predicates (clean)) (:functions (washed) (total-cost))
+ (:action wash :parameters () :effect (and (increase (total-cost) 1) (oneof (increase (washed) 1) (clean) (and)))))"""
+
+
+def repeated(domain: str, label: str, *states: dict[str, float]) -> str:
+    """Return what is wrong after `wash` has come to this outcome in these states, again and again."""
+    problem = parse_problem(
+        "(define (problem p) (:domain wash) (:init (= (washed) 0)) (:goal (or (clean) (> (washed) 9))))", parse_domain(domain)
+    )
+    (call,) = plan_graph(problem, Plan((PlanStep("wash"),))).calls
+    results, repeats = [CallResult(call, CallOutcome.SUCCEEDED, declared=label)], Repeats()
+    for state in states:
+        repeats = repeats.after(results, replace(problem, init={**problem.init, **{(name,): value for name, value in state.items()}}))
+    return repeats.livelock(results)
+
+
+def test_what_is_absurdly_unlikely_is_given_up() -> None:
+    rare = WASH.replace("(oneof (increase (washed) 1) (clean)", "(probabilistic 0.01 (clean) 0.99")
+    alike: dict[str, float] = {"washed": 0.0}
+    costs = [{"total-cost": float(number)} for number in range(60)]  # which no condition reads
+    assert "has ended 60 times in a row as 3, and nothing is new; its outcomes are 1, 2, 3, and 1, 2 never" in repeated(WASH, "3", *costs)
+    assert not repeated(WASH, "3", *costs[1:])
+    assert not repeated(WASH, "1", *({"washed": float(number)} for number in range(100)))
+    assert not repeated(rare, "2", *[alike] * 2000)
+    assert "1 never came about" in repeated(rare, "2", *[alike] * 2100)
+    assert "nothing tells which it was" in repeated(rare, "1 or 2", *[alike] * 60)
 
 
 def test_a_success_that_changes_nothing_is_no_progress() -> None:
