@@ -72,7 +72,8 @@ def why_call_of_run(history: JournalHistory, task: TaskHistory, run: RunHistory,
     if task.accepted.wanted.is_plan or not all(isinstance(step, ActionCall) for step in plan.steps):
         needed = Answer("the plan was written by a person: it does not say the purpose of its calls", Known.GIVEN)
     elif (ways := plan.calls[call].action.outcomes) and plan.goal == TRUE:
-        names = listed([way.name for way in ways], most=_SHOWN)
+        chances = run.policy.chances(plan.calls[call].action) if run.policy else {}
+        names = listed([f"{way.name} ({chances[way.name]:.0%})" if way.name in chances else way.name for way in ways], most=_SHOWN)
         needed = Answer(f"what follows {_name(run, call)} goes by its outcome, which may be {names}", Known.GIVEN)
     else:
         begun = frozenset(call.index for call in plan.calls if call.under_way)

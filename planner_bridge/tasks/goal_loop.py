@@ -10,7 +10,7 @@ from enum import Enum
 from functools import partial
 from uuid import uuid5
 
-from planner_bridge.model.plan import Plan
+from planner_bridge.model.plan import Plan, Policy
 from planner_bridge.model.progression import NotProjectable, snapshot
 from planner_bridge.ordering.plan_to_graph import plan_graph, stretch_graph
 from planner_bridge.tasks.constraint_monitor import TaskMonitor
@@ -29,6 +29,7 @@ from planner_bridge.tasks.replanning import (
     ResumePlan,
     decide,
     decision_words,
+    followed,
     needless,
     next_stretch,
     shortened,
@@ -41,6 +42,7 @@ from planner_bridge.tasks.result import (
     code_of_failures,
     code_of_planning,
     join_reasons,
+    policies_of,
     restored_log,
     retry_reason,
 )
@@ -363,12 +365,16 @@ class GoalLoop:
         """Decide what follows the run. A failure makes nothing needless, but facts that have changed may."""
         context, progress, now, world = self._context, execution.progress, self._monitor.now(), snapshot(self._context.present)
         has_failed, limits, unusable = execution.is_over or execution.result.failures, context.settings.limits, context.unusable(history)
-        set_off_by, better, policy = execution.set_off_by, self._search.better_than(progress), self._control.policy
+        set_off_by, better, policies = execution.set_off_by, self._search.better_than(progress), policies_of(self._control.policy)
         is_stretch = execution.is_over and execution.result.goal and progress.plan.goal == TRUE != now.goal
 
+        policy: Policy | None = None
+
         def decision() -> tuple[Decision, History]:
+            nonlocal policy
             if is_stretch:
-                return next_stretch(now, progress, world, replace(history, replans=self._log.history.replans), limits, unusable, policy)
+                policy, plan = followed(policies, now, world)
+                return next_stretch(now, progress, world, replace(history, replans=self._log.history.replans), limits, unusable, plan)
             left = progress if has_failed else shortened(progress, world)
             decided, known = decide(now, left, world, history, limits, unusable)
             if has_failed or isinstance(decided, GiveUp):
@@ -378,7 +384,10 @@ class GoalLoop:
             because = "; ".join(filter(None, (set_off_by, needless(progress, left, world))))
             return replace(decided, because=because), known
 
-        return await self._control.in_thread(decision)
+        decided, known = await self._control.in_thread(decision)
+        if isinstance(decided, NextStretch) and decided.rest is not None:
+            self._search.note_policy(policy)
+        return decided, known
 
     async def _follower(self, execution: PlanExecution, decision: ResumePlan | PlanAgain | NextStretch) -> PlanGraph:
         if isinstance(decision, ResumePlan) and not execution.is_blocked:

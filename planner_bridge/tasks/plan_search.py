@@ -14,7 +14,7 @@ from uuid import UUID
 
 from planner_bridge.model.grounding import initial_knowledge
 from planner_bridge.model.guards import ANY, ForbiddenCall, calls_served_by, forbid
-from planner_bridge.model.plan import CancelToken, Plan, PlanningResult, PlanningStatus
+from planner_bridge.model.plan import CancelToken, Plan, PlanningResult, PlanningStatus, Policy
 from planner_bridge.model.problem import Problem
 from planner_bridge.model.progression import NotProjectable, calls_of, projected_state, stretch
 from planner_bridge.ordering.interference import (
@@ -34,7 +34,7 @@ from planner_bridge.tasks.context import Conflict, TaskContext
 from planner_bridge.tasks.control import TaskEnded
 from planner_bridge.tasks.plan_execution import PlanExecution
 from planner_bridge.tasks.replanning import History, Progress
-from planner_bridge.tasks.result import PolicyNote, notes_of
+from planner_bridge.tasks.result import PolicyNote, notes_of, policies_of
 from planner_bridge.tasks.task import Task
 from pnm.clock import in_own_thread, is_virtual
 from pnm.core.execution.run_view import RunView
@@ -131,7 +131,7 @@ class PlanSearch:
         self.origin = 0.0
         """The time from which the times of the plan count."""
         notes = notes_of(kept, PolicyNote) if kept else []
-        self._control.policy = notes[-1].policy(context.problem) if notes else None
+        self._control.policy = self._noted = notes[-1].policy(context.problem) if notes else None
         self._has_found = False
         self._ahead: _SearchAhead | None = None
         self._is_best = False
@@ -311,6 +311,12 @@ class PlanSearch:
                     raise
         raise AssertionError("the last attempt finds a plan or fails")
 
+    def note_policy(self, policy: Policy | None, *, is_new: bool = False) -> None:
+        """Note the policy that the next calls come from, unless it is the one that was noted last: a better one may have been found."""
+        if is_new or policy not in (None, self._noted):
+            self._noted = policy
+            self._context.note(PolicyNote.of(policy))
+
     # --- attempts -------------------------------------------------------------------------------
 
     async def plan(self, forbidden: frozenset[ForbiddenCall], run: RunView | None = None) -> tuple[Plan | None, tuple[Conflict, ...]]:
@@ -346,7 +352,7 @@ class PlanSearch:
             self._has_found, self._is_best = True, result.plan.is_best
             if (result.policy or self._control.policy) is not None:
                 self._control.policy = result.policy
-                context.note(PolicyNote.of(result.policy))
+                self.note_policy(next(iter(policies_of(result.policy)), None), is_new=True)
             needed = _needed(now, result.plan, going_on)
             conflicts = context.scheduler.conflicts(context.task, needed)
             if weighs and any(not conflict.yields for conflict in conflicts):

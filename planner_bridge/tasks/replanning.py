@@ -14,7 +14,7 @@ from zlib import crc32
 
 from planner_bridge.model.grounding import decisive_names
 from planner_bridge.model.guards import ANY, ForbiddenCall
-from planner_bridge.model.plan import Policy
+from planner_bridge.model.plan import Plan, Policy
 from planner_bridge.model.problem import Problem
 from planner_bridge.model.progression import ConstraintProgression, NotApplicable, Progression, snapshot
 from planner_bridge.ordering.plan_to_graph import deordered, stretch_graph
@@ -397,6 +397,14 @@ def decide(
     return history.given_up(limits) or follows, history
 
 
+def followed(policies: Iterable[Policy], now: Problem, knowledge: KnowledgeBase) -> tuple[Policy | None, Plan | None]:
+    """Return the first policy that says what to do, and what; none does where objects were found that it does not know."""
+    knowing = (policy for policy in policies if now.objects.keys() <= policy.problem.objects.keys())
+    # an earlier one may have led to where the best one never gets
+    stretches = ((policy, policy.stretch(knowledge)) for policy in knowing)
+    return next(((policy, plan) for policy, plan in stretches if plan is not None), (None, None))
+
+
 def next_stretch(
     now: Problem,
     progress: Progress,
@@ -404,9 +412,9 @@ def next_stretch(
     history: History,
     limits: Limits,
     unusable: Mapping[ForbiddenCall, str],
-    policy: Policy | None,
+    plan: Plan | None,
 ) -> tuple[NextStretch | GiveUp, History]:
-    """Decide what follows a stretch that has come to its end, with all calls done; see `decide`."""
+    """Decide what follows a stretch that has come to its end, with all calls done, and has this plan by its policy; see `decide`."""
     uncertain = [result for result in progress.calls if result.declared]
     history = replace(history, stretches=history.stretches + 1, repeats=history.repeats.after(uncertain, now))
     if given_up := history.given_up(limits):
@@ -414,8 +422,6 @@ def next_stretch(
     if livelock := history.repeats.livelock(uncertain):
         return GiveUp(livelock), history
     turned_out = [f"{result.call.action}: {result.declared}" for result in uncertain]
-    knows_all = policy is not None and now.objects.keys() <= policy.problem.objects.keys()  # others were found since
-    plan = policy.stretch(knowledge) if policy and knows_all else None
     rest = stretch_graph(now, plan) if plan else None
     if rest and why_not(Progress.beginning(rest), knowledge, history.forbidden(limits) | unusable.keys()):
         rest = None  # what failed too often, or cannot be carried out now, is not part of any policy

@@ -22,7 +22,7 @@ from pnm.core.logic import domain, trajectory
 from pnm.core.logic.trajectory import Constraint, ConstraintProgress
 from pnm.core.machine.failure_causes import FailureKind
 from pnm.core.machine.machine import PetriNetMachine
-from pnm.core.machine.plan_graph import step_words
+from pnm.core.machine.plan_graph import GroundAction, step_words
 from pnm.core.machine.requests import CallOutcome
 from pnm.errors import counted
 from pnm.journal.codec import RECORDS, value_classes
@@ -332,6 +332,15 @@ class GoalNote:
     helped: int = 0
 
 
+def policies_of(policy: Policy | None) -> tuple[Policy, ...]:
+    """Return the policies found so far, the best one first, of one that becomes better while robots work; else the policy itself."""
+    if policy is None:
+        return ()
+    from planner_bridge.planning.policies.policy import Thinking  # here, because most actions have one outcome
+
+    return policy.policies if isinstance(policy, Thinking) else (policy,)
+
+
 @dataclass(frozen=True, slots=True)
 class PolicyNote:
     """The policy that the last plan is the beginning of; without entries if there is none.
@@ -355,14 +364,15 @@ class PolicyNote:
         """Return the note of a policy."""
         if policy is None:
             return PolicyNote()
-        from planner_bridge.planning.policies import policy as policies  # here, because most actions have one outcome
-
-        if isinstance(policy, policies.Thinking):
-            policy = policy.policy  # the best one so far, whatever is found meanwhile
-        if policy is None:
-            return PolicyNote()
         problem = replace(policy.problem, init={}, unknown=frozenset())
         return PolicyNote(tuple(map(tuple, policy.entries)), policy.chance, policy.is_proved, problem)
+
+    def chances(self, action: GroundAction) -> Mapping[str, float]:
+        """Return the chances that the outcomes of an action were taken to have; none in older journals."""
+        from planner_bridge.planning.policies.policy import PolicyEntry  # here, because most actions have one outcome
+
+        entries = (PolicyEntry(*entry) for entry in self.entries)
+        return next((one.outcomes for one in entries if (one.action, one.arguments) == (action.name, action.arguments)), {})
 
     def policy(self, problem: Problem) -> Policy | None:
         """Return the policy for a problem."""

@@ -77,6 +77,11 @@ _LEAST_COST: Final = 0.001
 """That of an action at least: what costs nothing would come no nearer to the goal."""
 
 
+def even_chances(action: GroundAction, ways: Sequence[Alternative]) -> Chance:
+    """Return the chances of the outcomes of an action as the domain says, and else all of them as likely."""
+    return NO_RATES.outcomes(Call("", action.name), ways)
+
+
 def policy_task(problem: Problem, seconds: Seconds | None = None, chances: Chances | None = None) -> PolicyTask:
     """Return the task of the problem; raise `Unsuitable` if it has more than facts and numbers that only actions change, or is too large.
 
@@ -134,7 +139,7 @@ class _Grounding:
         self.constant = PartlyKnown({}, self.state, self.changing)
         """What is known if nothing is known of what changes."""
         self.seconds = seconds or (lambda action: action.duration or 0.0)
-        self.chances = chances or (lambda action, ways: NO_RATES.outcomes(Call("", action.name), ways))
+        self.chances = chances or even_chances
         metric = problem.metric if problem.metric and problem.metric.direction == "minimize" else None
         counted = metric.expression.fluent if metric and isinstance(metric.expression, ValueOf) else TOTAL_TIME
         self.total = counted if counted[0] in self.changing else None

@@ -18,9 +18,10 @@ from planner_bridge.model.grounding import ground_step, initial_knowledge, model
 from planner_bridge.model.plan import GAP, CancelToken, Plan, PlanStep
 from planner_bridge.model.problem import Problem
 from planner_bridge.model.progression import snapshot
+from planner_bridge.model.rates import Basis, Chance, Rests
 from planner_bridge.planning.policies.chance import improve, take_chances
 from planner_bridge.planning.policies.encoding import OutcomePlanner
-from planner_bridge.planning.policies.grounding import Chances, Seconds, policy_task, task_from
+from planner_bridge.planning.policies.grounding import Chances, Seconds, even_chances, policy_task, task_from
 from planner_bridge.planning.policies.numbers import ANY_NUMBER, Scale
 from planner_bridge.planning.policies.proof import unproved
 from planner_bridge.planning.policies.search import Interrupted, Search, SettledPart
@@ -51,6 +52,8 @@ class PolicyEntry(NamedTuple):
     """Of the goal."""
     numbers: Mapping[Fluent, tuple[float, float]] = MappingProxyType({})
     """The ranges in which these numbers have to be."""
+    outcomes: Mapping[str, float] = MappingProxyType({})
+    """The chances that its outcomes were taken to have, if its action has several."""
 
     def comparisons(self) -> Iterator[Compare]:
         """Yield what has to hold for numbers."""
@@ -399,6 +402,7 @@ def _policy(problem: Problem, search: Search) -> Policy:
             expected,
             1.0 - risk,
             {scale.fluent: bounds for scale in task.scales if (bounds := scale.bounds(*need)) != ANY_NUMBER},
+            {way.name: way.chance for way in action.outcomes} if len(action.outcomes) > 1 else {},
         )
         for risk, expected, distance, need, _, action in ranked
         if action is not None
@@ -410,7 +414,8 @@ def _policy(problem: Problem, search: Search) -> Policy:
 
 def steps_of(problem: Problem, entries: Sequence[PolicyEntry]) -> list[Step]:
     """Return which entries follow which, from the initial state of the problem on, as whoever has found them has it."""
-    task = policy_task(problem)
+    known = {(entry.action, entry.arguments): Chance(entry.outcomes, Rests(Basis.ASSUMED)) for entry in entries if entry.outcomes}
+    task = policy_task(problem, chances=lambda action, ways: known.get((action.name, action.arguments)) or even_chances(action, ways))
     actions, scales = {str(action): action for action in task.actions}, {scale.fluent: scale for scale in task.scales}
     bits = {fact: PartialState(1 << number) for number, fact in enumerate(task.facts)}
 

@@ -170,7 +170,7 @@ def test_all_who_tell_of_a_run_tell_the_outcome(tmp_path: Path) -> None:
     assert view is not None
     assert [request["declared"] for request in view.requests.values()] == ["", "2", "", "1"]
     why = pnm("why", "--journal", journal, "--call", "pick(mug)").output
-    assert "what follows #1 pick(mug) goes by its outcome, which may be 1, 2 and 3" in why
+    assert "what follows #1 pick(mug) goes by its outcome, which may be 1 (33%), 2 (33%) and 3 (33%)" in why
     assert "it has come to its outcome 1" in why
     assert "pick(mug): 2: going on with 2 calls" in pnm("why", "--journal", journal).output
     shown = pnm("run", *files, "--faults", str(faults)).output

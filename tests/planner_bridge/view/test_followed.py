@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Callable
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 from random import Random
@@ -12,13 +14,20 @@ from xml.etree import ElementTree
 import pytest
 from playwright.sync_api import expect
 
+from planner_bridge.explanations.history import JournalHistory
+from planner_bridge.model.plan import PlanningResult
+from planner_bridge.model.problem import Problem
 from planner_bridge.pddl import parse_domain, parse_problem
 from planner_bridge.pipeline.achieve import achieve
 from planner_bridge.planning.policies.net import TakenBranch, followed
+from planner_bridge.planning.policies.policy import Policy, Thinking, policies
+from planner_bridge.tasks.result import TASKS, PolicyNote, notes_of
+from planner_bridge.tasks.settings import Memory, Settings
 from planner_bridge.view.follow import Reader
 from planner_bridge.view.story import Followed, Story
 from pnm.actions.faults import Fault, Faults
 from pnm.core.machine.plan_graph import GroundAction
+from pnm.journal.resume import replayed
 from tests.support.e2e.page.browser import browser
 from tests.support.e2e.page.journals import steps
 from tests.support.e2e.page.serving import asked, page_of
@@ -111,6 +120,38 @@ def test_the_page_lights_the_branch_that_was_taken(journal: Path, seen: Seen) ->
         page.locator("#way").fill("1")
         expect(policy).to_be_hidden()
         assert not said
+
+
+class Found(Thinking):
+    """Policies that are found by hand."""
+
+    def __init__(self, *policies: Policy) -> None:
+        self.problem, self.policies = CUPS, policies
+
+
+def test_a_better_policy_that_is_found_at_work_is_noted_when_it_is_followed(tmp_path: Path) -> None:
+    best = [*policies(CUPS, 60.0)][-1]
+    found, coming = Found(replace(best, chance=0.9)), iter(CAME)
+
+    class Known(Memory):
+        def plan(self, problem: Problem, timeout: float, search: Callable[[float], PlanningResult]) -> PlanningResult:
+            return replace(search(timeout), policy=found)
+
+    def drawn(action: GroundAction, _: Random) -> Fault:
+        came = next(coming) if action.name == "pick" else ""
+        if came == CAME[1]:
+            found.policies = best, *found.policies
+        return Fault(action.name, outcome=came)
+
+    assert achieve(None, CUPS, settings=Settings(memory=Known()), faults=Faults(drawn=drawn), journal=tmp_path / "journal").goal_reached
+    (task,) = JournalHistory.read(tmp_path / "journal").tasks.values()
+    assert [run.policy and run.policy.chance for run in task.own_runs] == [0.9, 0.9, *[1.0] * 4]
+    (kept,) = replayed(tmp_path / "journal", TASKS).tasks.values()
+    assert notes_of(kept, PolicyNote)[-1].chance == 1.0, "as a resume has it"
+    assert task.policy is not None
+    restored = task.policy.policy(CUPS)
+    assert restored is not None
+    assert restored.entries == best.entries
 
 
 def test_a_task_whose_actions_have_one_outcome_has_no_policy(delivery: Path) -> None:

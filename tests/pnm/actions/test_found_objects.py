@@ -18,7 +18,7 @@ from planner_bridge.model.problem import Problem
 from planner_bridge.node.world_queries import SharedWorld
 from planner_bridge.ordering.plan_to_graph import plan_graph
 from planner_bridge.pddl import parse_domain, parse_problem
-from planner_bridge.tasks.replanning import History, Limits, NextStretch, Progress, next_stretch
+from planner_bridge.tasks.replanning import History, Limits, NextStretch, Progress, followed, next_stretch
 from planner_bridge.tasks.result import TASKS, TaskResult
 from planner_bridge.tasks.settings import OnChange, Settings
 from planner_bridge.yaml.writer import write_bindings
@@ -100,10 +100,12 @@ def test_a_policy_is_one_for_what_is_there(tmp_path: Path) -> None:
 def test_a_policy_says_nothing_of_what_was_found_since() -> None:
     steps = tuple(PlanStep("search", (room,), float(number)) for number, room in enumerate(("hall", "kitchen")))
     world, policy = initial_knowledge(PROBLEM), Mock(problem=PROBLEM, stretch=lambda state: Plan(steps))
-    progress, known = Progress.beginning(plan_graph(PROBLEM, Plan())), (History(), Limits(), {}, policy)
-    before, _ = next_stretch(problem_now(PROBLEM, world), progress, world, *known)
+    progress, known = Progress.beginning(plan_graph(PROBLEM, Plan())), (History(), Limits(), {})
+    _, plan = followed((policy,), now := problem_now(PROBLEM, world), world)
+    before, _ = next_stretch(now, progress, world, *known, plan)
     world.update({**MUG, ("clean", "mug"): True})  # so that the plan would work all the same
-    after, _ = next_stretch(problem_now(PROBLEM, world), progress, world, *known)
+    _, plan = followed((policy,), now := problem_now(PROBLEM, world), world)
+    after, _ = next_stretch(now, progress, world, *known, plan)
     assert isinstance(before, NextStretch)
     assert before.rest is not None
     assert isinstance(after, NextStretch)

@@ -11,12 +11,15 @@ from pathlib import Path
 import pytest
 from hypothesis import given, settings, strategies as st
 
+from planner_bridge.model.rates import Basis, Chance, Rests
 from planner_bridge.planning.policies import steps as steps_module
 from planner_bridge.planning.policies.net import FAILURE, PolicyNet, steps_dot, steps_svg
-from planner_bridge.planning.policies.policy import policies
+from planner_bridge.planning.policies.policy import PolicySearch, policies
 from planner_bridge.planning.policies.steps import GOAL, MOST, NO_WAY_OUT, Branch, Step
 from planner_bridge.planning.policies.task import PolicyAction
 from planner_bridge.tasks.result import PolicyNote
+from pnm.core.logic.effects import Alternative
+from pnm.core.machine.plan_graph import GroundAction
 from pnm.core.net.net import Marking, PetriNet, enabled, fire
 from pnm.errors import InputError
 from tests.support.e2e.command_line import pnm
@@ -66,11 +69,17 @@ def test_the_net_goes_where_the_policy_does(seed: int, states: int) -> None:
     assert walked == arcs or states == 2
 
 
+def uneven(action: GroundAction, ways: Sequence[Alternative]) -> Chance:
+    """As learned: for each action other chances."""
+    first = len(str(action))
+    return Chance({way.name: float(first + number) for number, way in enumerate(ways)}, Rests(Basis.LEARNED, 20))
+
+
 @settings(max_examples=100)
-@given(st.integers(0, 10**9), st.booleans(), st.booleans())
-def test_a_policy_that_was_noted_has_the_same_steps(seed: int, counts: bool, derives: bool) -> None:
+@given(st.integers(0, 10**9), st.booleans(), st.booleans(), st.booleans())
+def test_a_policy_that_was_noted_has_the_same_steps(seed: int, counts: bool, derives: bool, learns: bool) -> None:
     problem = random_problem(seed, counts=counts, derives=derives)
-    for policy in policies(problem, 60.0):
+    for policy in PolicySearch(problem, chances=uneven if learns else None).policies(60.0):
         noted = PolicyNote.of(policy).policy(problem)
         assert noted is not None
         assert [(step.as_json(), step.entry) for step in noted.steps()] == [(step.as_json(), step.entry) for step in policy.steps()]
