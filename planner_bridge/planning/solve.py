@@ -111,6 +111,7 @@ def solve(
             from planner_bridge.planning.policies.task import Unsuitable
 
             began = time.monotonic()
+            until = began + _FOR_POLICIES * timeout
             seconds = rates.expected if rates is not None and (problem.is_timed or rates.are_measure(problem)) else None
             try:
                 chances = rates.outcomes if rates else None
@@ -118,9 +119,12 @@ def solve(
                 def at_work(taken: float) -> float:
                     return max(_POLICY_AT_WORK, AT_WORK * worth(taken)) if improve is None else improve
 
+                def is_over() -> bool:
+                    return time.monotonic() > until or (cancel is not None and cancel.is_set())
+
                 last = before.search if isinstance(before, Thinking) else None
-                thinking = Thinking(PolicySearch(problem, seconds, chances, last), timeout, cancel, at_work)
-                policy = thinking.wait(began + _FOR_POLICIES * timeout - time.monotonic(), improve, worth)
+                thinking = Thinking(PolicySearch(problem, seconds, chances, last, is_over), timeout, cancel, at_work)
+                policy = thinking.wait(until - time.monotonic(), improve, worth)
                 if policy is not None and (plan := policy.plan(initial_knowledge(problem))) is not None:
                     unseen = untold(problem, bindings, bindings.assumed) if bindings else ()
                     notes = [

@@ -82,14 +82,17 @@ def even_chances(action: GroundAction, ways: Sequence[Alternative]) -> Chance:
     return NO_RATES.outcomes(Call("", action.name), ways)
 
 
-def policy_task(problem: Problem, seconds: Seconds | None = None, chances: Chances | None = None) -> PolicyTask:
+def policy_task(
+    problem: Problem, seconds: Seconds | None = None, chances: Chances | None = None, is_over: Callable[[], bool] = lambda: False
+) -> PolicyTask:
     """Return the task of the problem; raise `Unsuitable` if it has more than facts and numbers that only actions change, or is too large.
 
     Args:
         seconds: how long actions take, where plans are measured by that; by default, as long as the domain says.
         chances: how likely outcomes are; by default, as the domain says, and else all of an action as likely.
+        is_over: says that the time is over, or nobody waits for it any more; then it is `Unsuitable`, too.
     """
-    return _Grounding(problem, seconds, chances).task()
+    return _Grounding(problem, seconds, chances, is_over).task()
 
 
 def _changing(problem: Problem) -> frozenset[str]:
@@ -134,12 +137,12 @@ def task_from(known: PolicyTask, before: Problem, now: Problem) -> PolicyTask | 
 class _Grounding:
     """The facts of a problem that actions change, in the order in which they were met: mutable state."""
 
-    def __init__(self, problem: Problem, seconds: Seconds | None, chances: Chances | None) -> None:
+    def __init__(self, problem: Problem, seconds: Seconds | None, chances: Chances | None, is_over: Callable[[], bool]) -> None:
         self.problem, self.state, self.rules, self.changing = problem, initial_knowledge(problem), problem.domain.rules, _changing(problem)
         self.constant = PartlyKnown({}, self.state, self.changing)
         """What is known if nothing is known of what changes."""
         self.seconds = seconds or (lambda action: action.duration or 0.0)
-        self.chances = chances or even_chances
+        self.chances, self.is_over = chances or even_chances, is_over
         metric = problem.metric if problem.metric and problem.metric.direction == "minimize" else None
         counted = metric.expression.fluent if metric and isinstance(metric.expression, ValueOf) else TOTAL_TIME
         self.total = counted if counted[0] in self.changing else None
@@ -198,6 +201,10 @@ class _Grounding:
             actions = [replace(action, outcomes=ways) for action, ways in with_rules]
         scales = tuple(self.scales.values())
         return PolicyTask(tuple(self.facts), initial, goal, tuple(actions), alternatives, scales, self.measure, rules or NO_RULES)
+
+    def check_time(self) -> None:
+        if self.is_over():
+            raise Unsuitable("no policy is looked for: the ways to use its actions were not all found in time")
 
     # --- numbers ---
 
@@ -286,6 +293,7 @@ class _Grounding:
         """Return the rules for the derived facts that were met, and for those that they follow from; None if there are none."""
         derived, strata = 0, defaultdict[int, list[tuple[int, PartialState]]](list)
         for fact in self.facts:  # grows
+            self.check_time()
             if isinstance(fact, AtLeast):
                 continue
             for rule in (rule for rule in self.rules if rule.name == fact[0]):
@@ -481,6 +489,7 @@ class _Instances:
                 free = tuple(variable for variable in schema.parameters if variable.name not in env)
                 for whole in choices(free, self.grounding.state, env):
                     key = (schema.name, *(str(whole[variable.name]) for variable in schema.parameters))
+                    self.grounding.check_time()
                     if key not in found:
                         found.add(key)
                         if len(found) > MOST_ACTIONS:
@@ -499,6 +508,7 @@ class _Instances:
                 yield number, place, fact
 
     def joined(self, atoms: list[Fluent], env: dict[str, object], types: Mapping[str, tuple[str, ...]]) -> Iterator[dict[str, object]]:
+        self.grounding.check_time()
         if not atoms:
             yield env
             return

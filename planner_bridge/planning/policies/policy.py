@@ -322,16 +322,22 @@ class PolicySearch:
         seconds: how long actions take, where policies are measured by that; by default, as long as the domain says.
         chances: how likely outcomes are; by default, as the domain says, and else all of an action as likely.
         before: a search for the same goal, from another state or with fewer forbidden calls.
+        is_over: says that the time is over, or nobody waits for it any more, while the problem is made ready.
 
-    Raises `Unsuitable` if the problem has more than facts and numbers that only actions change.
+    Raises `Unsuitable` if the problem has more than facts and numbers that only actions change, or is not ready in time.
     """
 
     def __init__(
-        self, problem: Problem, seconds: Seconds | None = None, chances: Chances | None = None, before: PolicySearch | None = None
+        self,
+        problem: Problem,
+        seconds: Seconds | None = None,
+        chances: Chances | None = None,
+        before: PolicySearch | None = None,
+        is_over: Callable[[], bool] = lambda: False,
     ) -> None:
         known = task_from(before.task, before.problem, problem) if before else None
         self.problem: Problem = problem
-        self.task: PolicyTask = known or policy_task(problem, seconds, chances)
+        self.task: PolicyTask = known or policy_task(problem, seconds, chances, is_over)
         self.certain: Search | None = before.certain if before and known else None
         """The last search for a policy that reaches the goal for certain."""
 

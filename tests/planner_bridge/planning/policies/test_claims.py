@@ -5,13 +5,17 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import replace
+from threading import Event
+from unittest.mock import Mock
 
 import pytest
 
 from planner_bridge.model.grounding import initial_knowledge
+from planner_bridge.model.plan import PlanningStatus
 from planner_bridge.model.problem import Problem
 from planner_bridge.pddl.reader import parse_domain, parse_problem
 from planner_bridge.planning.policies import policy as room
+from planner_bridge.planning.policies.grounding import policy_task
 from planner_bridge.planning.policies.policy import Policy, PolicySearch, policies
 from planner_bridge.planning.policies.search import Search
 from planner_bridge.planning.policies.task import PolicyAction, Unsuitable
@@ -102,3 +106,23 @@ def test_what_the_proof_assumes_to_be_seen_is_said_where_nothing_sees_it() -> No
     assert solve(go, improve=0.0, bindings=Bindings()).message == ""
     unseen = solve(go, improve=0.0, bindings=Bindings(assumed=frozenset({"done"})))
     assert unseen.message == "nothing tells 1 and 2 of go apart: there the policy may not go on"
+
+
+def test_what_takes_too_long_to_be_made_ready_has_no_policy(monkeypatch: pytest.MonkeyPatch) -> None:
+    objects, asked, stop = " ".join(f"o{number}" for number in range(40)), list[bool](), Event()
+    action = "(:action go :parameters (?a ?b ?c ?d) :precondition (not (done)) :effect (oneof (done) (and)))"
+    domain = parse_domain(f"(define (domain d) {HEADER} (:predicates (done)) {action})")
+    many = parse_problem(f"(define (problem p) (:domain d) (:objects {objects}) (:init) (:goal (done)))", domain)
+
+    def is_over() -> bool:
+        asked.append(True)
+        return len(asked) > 100
+
+    with pytest.raises(Unsuitable, match="not all found in time"):
+        policy_task(many, is_over=is_over)
+    assert len(asked) == 101, "it was the last time"
+    stop.set()
+    made = Mock(return_value=None)
+    monkeypatch.setattr("planner_bridge.planning.policies.grounding.modelled_duration", made)
+    assert solve(many, cancel=stop).status is PlanningStatus.CANCELLED
+    assert not made.called, "nothing is made ready that nobody waits for"
