@@ -295,13 +295,18 @@ def planned(
 
     domain, problem = files
     loaded = problem_in(domain, problem)
-    bound = bindings_for(domain, bindings, loaded.vocabulary) if bindings or beside(domain, BINDINGS) else None
     with searching(planner, timeout):
-        learned = rates_for(domain, rates) if rates or beside(domain, RATES) else None
+        bound, learned = robots_of(domain, loaded, bindings, rates)
         result = solve(
             loaded, planner=planner, timeout=timeout, improve=improve, bindings=bound, learned=learned, is_looked_at=is_looked_at
         )
     return Planned(loaded, result, bound, learned)
+
+
+def robots_of(domain: Path, problem: Problem, bindings: Path | None, rates: Path | None) -> tuple[Bindings | None, Rates | None]:
+    """Return the bindings and the rates of robots, by default from the files beside the domain; None where there are none."""
+    bound = bindings_for(domain, bindings, problem.vocabulary) if bindings or beside(domain, BINDINGS) else None
+    return bound, rates_for(domain, rates) if rates or beside(domain, RATES) else None
 
 
 def policy_of(result: PlanningResult) -> Policy | None:

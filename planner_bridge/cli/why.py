@@ -12,7 +12,18 @@ import click
 
 from planner_bridge.cli.console import SafeConsole
 from planner_bridge.cli.journal import chosen_journal, errors_of_journals
-from planner_bridge.cli.options import FILE, Seconds, as_json_option, command, print_json, problem_in, searching
+from planner_bridge.cli.options import (
+    FILE,
+    Seconds,
+    as_json_option,
+    bindings_option,
+    command,
+    print_json,
+    problem_in,
+    rates_option,
+    robots_of,
+    searching,
+)
 from planner_bridge.explanations.answer import Answer, Known
 from planner_bridge.explanations.goal_now import why_goal
 from planner_bridge.explanations.history import JournalHistory
@@ -39,6 +50,8 @@ _NARROW: Final = 40
 @click.option("--journal", metavar="FILE", help="file or postgresql://… of a journal; DOMAIN and PROBLEM are used with its facts")
 @click.option("--task", metavar="TASK", help="task of the journal: number or beginning of the id; by default the last running one")
 @click.option("--to", "last", type=click.IntRange(1), help="the last record of the journal to read")
+@bindings_option
+@rates_option
 @click.option("--seconds", type=Seconds(0.1), default=SECONDS, show_default=True, help="seconds for all searches together")
 @as_json_option
 @command
@@ -52,6 +65,8 @@ def why(
     journal: str | None,
     task: str | None,
     last: int | None,
+    bindings: Path | None,
+    rates: Path | None,
     seconds: float,
     as_json: bool,
 ) -> int:
@@ -65,6 +80,8 @@ def why(
     if domain is not None and problem is None:
         raise InputError("expected DOMAIN and PROBLEM, or neither of them for a journal")
     if domain is None or problem is None:
+        if bindings or rates:
+            raise InputError("--bindings and --rates are for other plans; expected DOMAIN and PROBLEM")
         if other is not None:
             raise InputError("--not needs other plans; expected DOMAIN and PROBLEM, which are used with the facts of a --journal")
         with errors_of_journals():
@@ -81,11 +98,12 @@ def why(
     if journal is None and (task or last):
         raise InputError("--task and --to are about a journal: expected --journal")
     loaded = problem_in(domain, problem)
+    robots = robots_of(domain, loaded, bindings, rates)
     if journal is not None:
         loaded = _in_the_middle(loaded, journal, task, last)
     unwanted = None if other is None else _call(loaded, other, "--not")
     wanted = None if called is None or called.strip("# ").isdecimal() else _call(loaded, called, "--call")
-    limit = AnswerLimit.of(seconds)
+    limit = AnswerLimit.of(seconds, *robots)
     with searching(DEFAULT_PLANNER, seconds):
         found = limit.first_plan(loaded, improve=GLANCE)
         if unwanted is not None:

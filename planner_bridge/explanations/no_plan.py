@@ -10,12 +10,15 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Final
 
 from planner_bridge.explanations.answer import Answer, Known, Solves, Unsolvable, listed
 from planner_bridge.model.determinization import determinization
 from planner_bridge.model.plan import Plan, PlanningResult, PlanningStatus
 from planner_bridge.model.problem import Problem
+from planner_bridge.model.rates import NO_RATES, Rates
+from planner_bridge.ordering.robot_time import ExpectedTimes
 from planner_bridge.planning.policies.dead_ends import DeadStates
 from planner_bridge.planning.policies.grounding import policy_task
 from planner_bridge.planning.policies.task import Unsuitable
@@ -23,6 +26,7 @@ from planner_bridge.planning.reachability import Achiever, GoalLiteral, Reachabi
 from planner_bridge.planning.solve import solve
 from pnm.core.logic.conditions import All, Compare, Condition, conjunction, conjuncts, fluents, parts_of
 from pnm.core.logic.expressions import NOTHING, fluent_text
+from pnm.core.machine.bindings import NO_BINDINGS, Bindings
 from pnm.errors import counted
 
 # --- time for an answer ---------------------------------------------------------------------------
@@ -37,16 +41,18 @@ _LEAST: Final = 0.02
 
 @dataclass(frozen=True)
 class AnswerLimit:
-    """The moment at which a question has to be answered, on the clock of this process."""
+    """The moment at which a question has to be answered, on the clock of this process, and what is known of the robots."""
 
     end: float
+    bindings: Bindings | None = None
+    learned: Rates | None = None
     _reached: dict[int, tuple[Problem, Reachability | None]] = field(default_factory=dict, repr=False)
     """The problems that were looked at, by identity: mutable state."""
 
     @staticmethod
-    def of(seconds: float) -> AnswerLimit:
-        """Return the limit that ends in so many seconds."""
-        return AnswerLimit(time.monotonic() + seconds)
+    def of(seconds: float, bindings: Bindings | None = None, learned: Rates | None = None) -> AnswerLimit:
+        """Return the limit that ends in so many seconds; plans are looked for as `solve` does with the bindings, and what was learned."""
+        return AnswerLimit(time.monotonic() + seconds, bindings, learned)
 
     @property
     def left(self) -> float:
@@ -62,7 +68,8 @@ class AnswerLimit:
         """Search for a plan for this share of the time that is left, at most, and for a better one for so long."""
         if self.is_over:
             return PlanningResult(PlanningStatus.TIMED_OUT, message="there was no time left")
-        return solve(problem, timeout=max(_LEAST, self.left * share), improve=min(improve, self.left * share))
+        told = partial(solve, bindings=self.bindings, learned=self.learned)
+        return told(problem, timeout=max(_LEAST, self.left * share), improve=min(improve, self.left * share))
 
     def reached(self, problem: Problem) -> Reachability | None:
         """Return the reachable facts of a problem, and those that its goal lacks; None if there is not enough time."""
@@ -288,7 +295,8 @@ def why_trap(problem: Problem, avoiding: Plan, other: Plan, limit: AnswerLimit) 
         limit: for searches, where it does not follow from what can be reached.
     """
     try:
-        task = policy_task(problem)
+        rates = ExpectedTimes(limit.bindings or NO_BINDINGS, limit.learned or NO_RATES, problem.init)
+        task = policy_task(problem, chances=rates.outcomes, is_over=lambda: limit.is_over)
     except Unsuitable:
         return None
     dead, state, actions = DeadStates(task), task.initial, {(action.name, action.arguments): action for action in task.actions}

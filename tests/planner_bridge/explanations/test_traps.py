@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 from hypothesis import given, settings, strategies as st
 
 from planner_bridge.explanations.answer import Answer, Known, Unsolvable
@@ -11,8 +13,12 @@ from planner_bridge.explanations.no_plan import AnswerLimit, why_not_short
 from planner_bridge.model.grounding import initial_knowledge
 from planner_bridge.model.plan import PlanStep
 from planner_bridge.model.problem import Problem
-from planner_bridge.pddl.reader import parse_domain, parse_problem
+from planner_bridge.model.rates import Call, Counts, End, Rates
+from planner_bridge.pddl import parse_domain, parse_problem, write_domain, write_problem
 from planner_bridge.planning.policies.policy import policies
+from pnm.core.machine.bindings import Binding, Bindings
+from tests.support.e2e.command_line import pnm
+from tests.support.files import written
 from tests.support.pddl.chance import Exact, random_problem
 
 TIRES = parse_domain("""
@@ -51,6 +57,22 @@ def test_the_short_way_is_not_taken_because_of_a_flat_tire_without_a_spare() -> 
         assert answer.statement[answer.statement.index("drive") :] == f"{TRAP}(flat) and (car b) are true"
         assert answer.known is Known.RELAXATION
         check(answer)
+
+
+def test_chances_are_those_that_were_learned(tmp_path: Path) -> None:
+    rates = Rates({Call("car", "drive", ("a", "b")): Counts({End.SUCCEEDED: 100}, outcomes={"1": 75, "2": 25})})
+    problem, car = tires("(spare c) (spare d)"), Bindings({"drive": Binding(server="car")})
+    limit = AnswerLimit.of(60.0, car, rates)
+    _, short = why_goal(problem, limit.first_plan(problem), limit)
+    assert "drive(a, b) leads with 25% to a state" in short.statement
+    files = [
+        str(written(tmp_path / name, text)) for name, text in (("domain.pddl", write_domain(TIRES)), ("p.pddl", write_problem(problem)))
+    ]
+    known = ["--bindings", str(written(tmp_path / "car.yaml", "actions: {drive: {server: car}}\n"))]
+    known += ["--rates", str(written(tmp_path / "learned.yaml", rates.text()))]
+    assert "drive(a, b) leads with 50% to a state" in pnm("why", *files, "--seconds", "60").stdout
+    assert "drive(a, b) leads with 25% to a state" in pnm("why", *files, *known, "--seconds", "60").stdout
+    assert "expected DOMAIN and PROBLEM" in pnm("why", *known).stderr
 
 
 def test_what_the_policy_risks_itself_is_no_reason() -> None:
