@@ -6,6 +6,7 @@ from bisect import bisect_right
 from collections import defaultdict, deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from functools import reduce
 from itertools import product
 from math import inf
 from typing import Final, TypeAlias, assert_never
@@ -320,8 +321,9 @@ class _Grounding:
         alternatives = [self.parts(*part) for part in inner]
         if not is_every:
             return tuple(dict.fromkeys(part for one in alternatives for part in one))
-        found: tuple[PartialState, ...] = (ANY,)
-        for more in alternatives:
+        single = [one[0] for one in alternatives if len(one) == 1]
+        found: tuple[PartialState, ...] = tuple(part for part in (reduce(PartialState.joined, single, ANY),) if part.is_possible)
+        for more in (one for one in alternatives if len(one) != 1):
             found = tuple(dict.fromkeys(both for part, other in product(found, more) if (both := part.joined(other)).is_possible))
             if len(found) > _MOST_PARTS:
                 raise Unsuitable(f"no policy is looked for: {condition} has too many alternatives")
@@ -358,20 +360,7 @@ class _Grounding:
             arguments = tuple(str(env[variable.name]) for variable in schema.parameters)
             duration = modelled_duration(schema, arguments, self.state)
             inner = env if duration is None else {**env, DURATION[0]: duration}
-            early, counting = _split(self.changes(schema.start_effects, inner))
-            start = _merged(early)
-            early_conditions = {one.condition for one in start} | {one.condition for one in counting}
-            depends = not early_conditions <= {ANY} or has_outcomes(schema.start_effects)
-            if schema.start_effects:
-                later = (part.condition for part in every_effect(schema.end_effects) if isinstance(part, When))
-                read = names(All((schema.invariant, schema.end_condition, *later)))
-                depends |= any(one.effect.fluent[0] in read for one in counting)
-                depends |= not self.rules.base(read & self.rules.derived).isdisjoint(names_written(schema.start_effects))
-            if len(start) > 1 or depends:
-                raise Unsuitable(
-                    f"no policy is looked for: {schema.name} has effects at its start that depend on something, or others on them"
-                )
-            begun = start[0] if start else Change(ANY, 0, 0)
+            begun, counting = self.begun(schema, inner) if schema.start_effects else (Change(ANY, 0, 0), [])
             ended = [begun.before(part) for part in self.parts(All((schema.invariant, schema.end_condition)), env)]
             both = (one.joined(other) for one, other in product(self.parts(schema.precondition, env), ended) if other is not None)
             conditions = tuple(part for part in dict.fromkeys(both) if part.is_possible)
@@ -392,6 +381,19 @@ class _Grounding:
                 if self.measure == "s":
                     cost = self.seconds(self.ground(schema, arguments, duration))
                 yield PolicyAction(schema.name, arguments, conditions, tuple(found), max(cost, _LEAST_COST))
+
+    def begun(self, schema: ActionSchema, env: Environment) -> tuple[Change, list[Counting]]:
+        """Return what an action does at its start."""
+        early, counting = _split(self.changes(schema.start_effects, env))
+        start = _merged(early)
+        later = (part.condition for part in every_effect(schema.end_effects) if isinstance(part, When))
+        read = names(All((schema.invariant, schema.end_condition, *later)))
+        depends = any(condition != ANY for condition, *_ in (*start, *counting)) or has_outcomes(schema.start_effects)
+        depends |= any(one.effect.fluent[0] in read for one in counting)
+        depends |= not self.rules.base(read & self.rules.derived).isdisjoint(names_written(schema.start_effects))
+        if len(start) > 1 or depends:
+            raise Unsuitable(f"no policy is looked for: {schema.name} has effects at its start that depend on something, or others on them")
+        return (start[0] if start else Change(ANY, 0, 0)), counting
 
     def ground(self, schema: ActionSchema, arguments: tuple[str, ...], duration: float | None) -> GroundAction:
         """Return a ground action as far as it says how long it takes, and how it turns out."""
