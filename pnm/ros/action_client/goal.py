@@ -131,7 +131,9 @@ GRACE: Final = 3.0
 AGAIN: Final = 1.0
 """Seconds between two requests for the same result."""
 ASKS: Final = 5
-"""The seconds between two requests of a result; a server keeps each request until it answers."""
+"""Requests for the same result; a server keeps each one until it answers."""
+PATIENT_ASKS: Final = 20
+"""Those to a server that may be missing for longer than others, such as a node that takes up a journal on a busy machine."""
 
 
 class Verdict(Enum):
@@ -185,8 +187,13 @@ class Liveness:
             return self._ask(now)
         return self._ask(now) if present - self.processes else Verdict.FINE
 
+    @property
+    def has_asked(self) -> bool:
+        """Whether that is often enough: what may be missing for longer may also take longer until it says which goals it has."""
+        return self.asks >= (ASKS if self.grace <= GRACE else PATIENT_ASKS)
+
     def _ask(self, now: float) -> Verdict:
-        if self.asks >= ASKS or now - self.asked < AGAIN:
+        if self.has_asked or now - self.asked < AGAIN:
             return Verdict.FINE
         self.asked, self.asks = now, self.asks + 1
         return Verdict.ASK

@@ -23,7 +23,7 @@ from pnm.core.machine.bindings import Foreign
 from pnm.core.machine.requests import Accepted, OutcomeKind
 from pnm.errors import PnmError, counted
 from pnm.ros.action_client.connection import Connection, MayAct
-from pnm.ros.action_client.goal import AGAIN, ASKS, OVER, UNKNOWN, Goal, Liveness, Verdict
+from pnm.ros.action_client.goal import AGAIN, OVER, UNKNOWN, Goal, Liveness, Verdict
 from pnm.ros.node.messages import fields, fitted_binding, to_data, to_message
 
 if TYPE_CHECKING:
@@ -293,7 +293,7 @@ class ServerLink:
             if not (present or self.connection.give_up(now)):
                 return  # whoever hears that it went away is to know that it is missing
             reason = "went away before it answered"
-        elif verdict is Verdict.ASK and goal.liveness.asks == ASKS and not self.connection.are_several(present):
+        elif verdict is Verdict.ASK and goal.liveness.has_asked and not self.connection.are_several(present):
             reason = "was restarted before it answered"
         elif goal.unknown_since and now - max(goal.unknown_since, goal.sent + goal.binding.accept) >= goal.binding.accept:
             reason = f"{_silence(goal)}, and does not know the goal"
