@@ -13,7 +13,7 @@ from typing import Final, Generic, NamedTuple, TypeAlias, TypeVar
 
 from pnm.core.logic.effects import TimedChange
 from pnm.core.machine.plan_graph import ActionCall, Moment, Ordering, PlanEvent, PlanGraphError
-from pnm.core.net.orders import topological_order
+from pnm.core.net.net import topological_order
 
 NEAR: Final = 1e-4
 """Times that differ by less are the same: planners separate events by 0.001."""

@@ -29,7 +29,7 @@ from pnm.core.logic.trajectory import Constraint
 from pnm.core.machine.bindings import DEFAULT, NO_BINDINGS, Binding, Bindings, Foreign, Found, Table, WhenLost
 from pnm.core.machine.plan_graph import Moment, Ordering, PlanEvent, PlanGraph, necessary
 from pnm.core.message_fields import Combined, Comparison, FieldValue, Flag
-from pnm.core.net.orders import closure, places, reduced
+from pnm.core.net.net import closure, places, reduced
 from pnm.errors import InputError
 from pnm.files.yaml_nodes import MAX_DEPTH
 from pnm.language.grammar import RESERVED

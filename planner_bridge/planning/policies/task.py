@@ -17,7 +17,7 @@ from typing import Final, NamedTuple
 from planner_bridge.planning.policies.numbers import AtLeast, Scale
 from pnm.core.logic.effects import Alternative, Set
 from pnm.core.logic.expressions import Fluent, fluent_text
-from pnm.core.net.orders import places as places
+from pnm.core.net.net import places as places
 from pnm.errors import PnmError
 
 

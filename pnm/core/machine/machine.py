@@ -23,8 +23,7 @@ from pnm.core.machine.blocks import MachineBlocks, PlacedRegion, PlacedStep
 from pnm.core.machine.guards import Rule
 from pnm.core.machine.plan_graph import Moment, Ordering, PlanGraph
 from pnm.core.machine.step_block import BlockTemplate
-from pnm.core.net.net import Marking, PetriNet, Weights
-from pnm.core.net.orders import TimeOrder, time_order
+from pnm.core.net.net import Marking, PetriNet, TimeOrder, Weights, time_order
 
 V = TypeVar("V")
 

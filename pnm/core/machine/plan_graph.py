@@ -23,7 +23,7 @@ from pnm.core.logic.effects import Alternative, Effects, ground_effects, has_out
 from pnm.core.logic.expressions import DURATION, Environment, Fluent, State, fluent_text
 from pnm.core.logic.rules import NO_RULES, Rules
 from pnm.core.machine.failure_causes import Cause
-from pnm.core.net.orders import reduced, topological_order
+from pnm.core.net.net import reduced, topological_order
 from pnm.core.resources import check_capacity
 from pnm.errors import InputError, PnmError
 

@@ -12,7 +12,7 @@ from planner_bridge.model.plan import Plan, PlanStep
 from planner_bridge.ordering.plan_to_graph import plan_graph
 from planner_bridge.yaml.writer import Block, Mesh, Parallel, Series, blocks, plan_entries, write_problem, written
 from pnm.core.machine.plan_graph import ActionCall, Junction, Moment, Ordering, PlanEvent, PlanGraph
-from pnm.core.net.orders import reduced
+from pnm.core.net.net import reduced
 from pnm.language.plan import read_plans
 from tests.support.pddl.problems import matches, rooms
 

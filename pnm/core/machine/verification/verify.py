@@ -51,9 +51,8 @@ from pnm.core.machine.verification.decompose import Anatomy, Event, Owner, Owner
 from pnm.core.machine.verification.explore import Exploration, NeverFires, explore_part, never_fire
 from pnm.core.machine.verification.part import Inside, Part, Unsound, kinds_of, shape_of, step_of
 from pnm.core.net.block_net import Remembered, Segment
-from pnm.core.net.net import Weights
+from pnm.core.net.net import Weights, closure
 from pnm.core.net.no_collection import no_collection
-from pnm.core.net.orders import closure
 from pnm.errors import check_kinds, counted
 
 # --- plan in net ----------------------------------------------------------------------------------

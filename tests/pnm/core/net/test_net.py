@@ -10,8 +10,7 @@ import pytest
 from hypothesis import given, strategies as st
 
 from pnm.core.net.block_net import Engine, block_net
-from pnm.core.net.net import Marking, NetBuilder, NetError, PetriNet, enabled, fire, is_enabled
-from pnm.core.net.orders import TimeOrder, time_order, topological_order
+from pnm.core.net.net import Marking, NetBuilder, NetError, PetriNet, TimeOrder, enabled, fire, is_enabled, time_order, topological_order
 from pnm.errors import NotEnabled
 
 Firing = tuple[str, int]
