@@ -31,7 +31,7 @@ from pnm.files.yaml_keys import (
     whole,
 )
 from pnm.files.yaml_nodes import Mapped, Node, load_yaml
-from pnm.knowledge.field_reader import FieldTest, TabledField, field_test, field_value, read_field
+from pnm.knowledge.sensor_file import FieldTest, TabledField, field_test, field_value, read_field
 
 _SERVER: Final = re.compile(r"~?[\w/{}]+", re.ASCII)
 """The name of an action server, in whose braces parameters stand."""

@@ -16,8 +16,8 @@ from uuid import UUID
 
 from pnm.core.execution.call_results import Explanation, Failure
 from pnm.core.logic.computed_values import Question
-from pnm.core.machine.blocks import MachineBlocks
 from pnm.core.machine.guards import Rule
+from pnm.core.machine.machine import MachineBlocks
 from pnm.core.machine.plan_graph import ActionCall
 from pnm.core.machine.requests import Ended, Outcome, OutcomeKind, Report, Request
 

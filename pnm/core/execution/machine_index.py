@@ -16,9 +16,8 @@ from pnm.core.execution.call_data import ClosedCall, closed_call, reads_of_guard
 from pnm.core.logic.compiled import CompiledCondition, compiled
 from pnm.core.logic.expressions import Fluent
 from pnm.core.logic.rules import Reads, Rules
-from pnm.core.machine.blocks import PlacedStep
 from pnm.core.machine.guards import Accepts, After, Always, Due, Ends, Guard, Opener, Rule
-from pnm.core.machine.machine import OnFailure, PetriNetMachine
+from pnm.core.machine.machine import OnFailure, PetriNetMachine, PlacedStep
 from pnm.core.machine.requests import CallOutcome, OutcomeKind, TransitionAction
 from pnm.core.machine.step_block import OWN, BlockTemplate
 from pnm.core.net.block_net import NumberedArcs, Placed, WhenAsked

@@ -12,11 +12,10 @@ from dataclasses import replace
 from typing import Any, Final
 
 from pnm.core.machine.bindings import Bindings, is_open
-from pnm.core.machine.blocks import END, FAILED, GOAL, START, MachineBlocks, PlacedRegion, PlacedStep
 from pnm.core.machine.call_block import CallBlock
 from pnm.core.machine.failure_causes import Cause
 from pnm.core.machine.guards import Always, ConditionFalse, ConditionTrue, Due, Ending, Failing, Rule
-from pnm.core.machine.machine import OnFailure, PetriNetMachine
+from pnm.core.machine.machine import END, FAILED, GOAL, START, MachineBlocks, OnFailure, PetriNetMachine, PlacedRegion, PlacedStep
 from pnm.core.machine.plan_graph import ActionCall, Held, Moment, PlanEvent, PlanGraph, Step
 from pnm.core.machine.step_block import PORTS, Block, BlockTemplate, Context, Draft, Terms, block_without_call
 from pnm.core.net.block_net import Remembered

@@ -40,9 +40,8 @@ from itertools import chain
 from math import isfinite
 from typing import Final, NamedTuple, TypeAlias
 
-from pnm.core.machine.blocks import START, MachineBlocks, PlacedRegion, PlacedStep
 from pnm.core.machine.guards import Adopted, ConditionTrue, Due, Ending, Guard, Rule, Withheld
-from pnm.core.machine.machine import OnFailure, PetriNetMachine
+from pnm.core.machine.machine import START, MachineBlocks, OnFailure, PetriNetMachine, PlacedRegion, PlacedStep
 from pnm.core.machine.plan_graph import ActionCall, Flow, Moment, Ordering, PlanEvent, PlanGraph, flows, in_order
 from pnm.core.machine.requests import TransitionAction
 from pnm.core.machine.step_block import PORTS, Port

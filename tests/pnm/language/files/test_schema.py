@@ -21,7 +21,7 @@ from pnm.core import message_fields
 from pnm.core.machine.bindings import Binding
 from pnm.core.machine.failure_causes import Cause
 from pnm.errors import InputError
-from pnm.knowledge.field_reader import FieldComparison
+from pnm.knowledge.sensor_file import FieldComparison
 from pnm.language import grammar, steps
 from pnm.language.formulas import words
 from pnm.language.plan import parse_documents, read_plans

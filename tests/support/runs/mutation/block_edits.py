@@ -7,7 +7,7 @@ from dataclasses import replace
 from random import Random
 from typing import Final
 
-from pnm.core.machine.blocks import MachineBlocks
+from pnm.core.machine.machine import MachineBlocks
 
 Edit = Callable[[MachineBlocks, Random], None]
 

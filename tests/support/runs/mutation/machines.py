@@ -11,10 +11,9 @@ from pnm.core.logic.computed_values import Layer, Literal, Operation, Query
 from pnm.core.logic.conditions import TRUE, Computed, Condition, Holds, Not
 from pnm.core.logic.effects import Alternative, Effect
 from pnm.core.machine.bindings import Binding, Bindings, WhenLost
-from pnm.core.machine.blocks import MachineBlocks
 from pnm.core.machine.failure_causes import Cause
 from pnm.core.machine.generate import generate
-from pnm.core.machine.machine import OnFailure, PetriNetMachine
+from pnm.core.machine.machine import MachineBlocks, OnFailure, PetriNetMachine
 from pnm.core.machine.plan_graph import (
     EMPTY,
     ActionCall,

@@ -9,11 +9,10 @@ from random import Random
 import pytest
 
 from pnm.core.machine.bindings import Binding, Bindings
-from pnm.core.machine.blocks import MachineBlocks
 from pnm.core.machine.call_block import CallTerms
 from pnm.core.machine.failure_causes import Cause
 from pnm.core.machine.generate import generate
-from pnm.core.machine.machine import PetriNetMachine
+from pnm.core.machine.machine import MachineBlocks, PetriNetMachine
 from pnm.core.machine.plan_graph import EMPTY, ActionCall, GroundAction, PlanGraph, Recovery, Then
 from pnm.core.machine.verification import verify as verify_module
 from pnm.core.machine.verification.call_content import RESOURCES
