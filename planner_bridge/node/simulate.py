@@ -55,7 +55,7 @@ async def _serve(problem: Problem, bindings: Bindings, faults: Faults, speed: fl
 
     robots = robots_of(problem, bindings, faults, speed=speed)
     async with RosThread("robots") as ros:
-        from pnm.ros.action_server.simulated_servers import Offer, SimulatedServers, publish_state  # needs rclpy, which is there by now
+        from pnm.ros.action_server.goal_server import Offer, SimulatedServers, publish_state  # needs rclpy, which is there by now
         from pnm.ros.node.graph import server_name
 
         with suppress(asyncio.CancelledError):  # it may come before the servers are up

@@ -98,7 +98,7 @@ class Ros2Backend:
 
         lag, sensing = self.bindings.lag, self.sensing
         self._sensors = Sensors(self.ros, sensing, knowledge, lag)
-        from pnm.ros.action_client.other_goals import OtherGoals  # here, because rclpy is an extra
+        from pnm.ros.action_client.action_services import OtherGoals  # here, because rclpy is an extra
 
         self._others = OtherGoals(self.ros, self.prefix, self.kept, self.may_act)
         self._client = Ros2ActionClient(self.ros, self.bindings, loop, ended, self._others, self.may_act)

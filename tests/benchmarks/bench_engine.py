@@ -17,9 +17,9 @@ from uuid import UUID
 
 import yaml
 
+from planner_bridge.cli.convert import exported, imported
 from planner_bridge.pipeline.loading import load
 from planner_bridge.tasks.settings import OnChange
-from planner_bridge.yaml.convert import exported, imported
 from pnm.core.execution.events import Begin, Command, Send
 from pnm.core.execution.machine_index import prepare
 from pnm.core.execution.run import Run

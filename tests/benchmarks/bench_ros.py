@@ -28,8 +28,8 @@ from rclpy.qos import QoSProfile
 from pnm.core.machine.bindings import Binding, Bindings
 from pnm.core.machine.plan_graph import GroundAction
 from pnm.core.machine.requests import Ended, OutcomeKind, Report, Request
+from pnm.ros.action_client.action_services import OtherGoals
 from pnm.ros.action_client.client import Ros2ActionClient
-from pnm.ros.action_client.other_goals import OtherGoals
 from pnm.ros.node.ros_thread import RosThread
 from tests.support.files import ROOT
 

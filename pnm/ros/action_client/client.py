@@ -51,7 +51,7 @@ class Ros2ActionClient:
     """Called on the event loop's thread with each request that is over, before its end is reported, to have asked how the world is
     then. An end without success is reported when that is known: it decides whether there is another attempt."""
     others: Any = None
-    """`pnm.ros.action_client.other_goals.OtherGoals`: what servers are at work on that this process has not sent."""
+    """`pnm.ros.action_client.action_services.OtherGoals`: what servers are at work on that this process has not sent."""
     may_act: MayAct = lambda: True
     grace: float = GRACE
     """Seconds for which a server may be missing from the graph before the goals that it has accepted are lost."""
@@ -66,7 +66,7 @@ class Ros2ActionClient:
     _timer: Any = None
 
     def __post_init__(self) -> None:
-        from pnm.ros.action_client.other_goals import OtherGoals  # here, because rclpy is an extra
+        from pnm.ros.action_client.action_services import OtherGoals  # here, because rclpy is an extra
 
         self.others = self.others or OtherGoals(self.ros, may_act=self.may_act)
         self.ros.on_close(self._lose_all)

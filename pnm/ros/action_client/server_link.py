@@ -27,7 +27,7 @@ from pnm.ros.action_client.goal import AGAIN, OVER, UNKNOWN, Goal, Liveness, Ver
 from pnm.ros.node.messages import fields, fitted_binding, to_data, to_message
 
 if TYPE_CHECKING:
-    from pnm.ros.action_client.other_goals import OtherGoals  # which needs rclpy, an extra
+    from pnm.ros.action_client.action_services import OtherGoals  # which needs rclpy, an extra
 
 IN_FLIGHT: Final = 8
 """Goals without an answer at a time."""

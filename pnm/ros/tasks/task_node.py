@@ -17,8 +17,20 @@ from pnm.ros.node.graph import server_name
 from pnm.ros.node.publisher import Throttle
 from pnm.ros.node.ros_thread import RosThread
 from pnm.ros.node.services import Fields, RequestServices
-from pnm.ros.tasks import task_messages as messages
-from pnm.ros.tasks.executor_topics import TaskTopics, clock_offset
+from pnm.ros.tasks.executor_topics import (
+    TaskTopics,
+    clock_offset,
+    goal_ending_fields,
+    made_fields,
+    plan_ending_fields,
+    read_seconds,
+    run_ending_fields,
+    run_feedback_fields,
+    task_feedback_fields,
+    wanted_goal,
+    wanted_plan,
+    wanted_run,
+)
 from pnm.tasks import (
     SHORT,
     Code,
@@ -214,12 +226,12 @@ class _TaskAction:
     type: str
     read: Callable[[UUID, Any], Wanted]
     write: Callable[[TaskEnding, float], Fields]
-    feedback: Callable[[TaskStatus, Iterable[TaskStep]], Fields] = messages.task_feedback_fields
+    feedback: Callable[[TaskStatus, Iterable[TaskStep]], Fields] = task_feedback_fields
 
 
 _ACTIONS: Final = {
-    "achieve_goal": _TaskAction("pnm_interfaces/action/AchieveGoal", messages.wanted_goal, messages.goal_ending_fields),
-    "execute_plan": _TaskAction("pnm_interfaces/action/ExecutePlan", messages.wanted_plan, messages.plan_ending_fields),
+    "achieve_goal": _TaskAction("pnm_interfaces/action/AchieveGoal", wanted_goal, goal_ending_fields),
+    "execute_plan": _TaskAction("pnm_interfaces/action/ExecutePlan", wanted_plan, plan_ending_fields),
 }
 
 
@@ -236,8 +248,8 @@ class TaskServers(TaskListener):
         self._ros = ros
         self._tasks = tasks
         self._loop = asyncio.get_running_loop()
-        kind, write, feedback = "pnm_interfaces/action/RunPlan", messages.run_ending_fields, messages.run_feedback_fields
-        runs = {name: _TaskAction(kind, partial(messages.wanted_run, plan), write, feedback) for plan, name in plans.items()}
+        kind, write, feedback = "pnm_interfaces/action/RunPlan", run_ending_fields, run_feedback_fields
+        runs = {name: _TaskAction(kind, partial(wanted_run, plan), write, feedback) for plan, name in plans.items()}
         self._actions = _ACTIONS | runs
         self._servers = {
             name: GoalServer(ros, action.type, name, partial(self._accept, name), self._cancel) for name, action in self._actions.items()
@@ -415,7 +427,7 @@ class PlanningServer:
 
     async def _search(self, request: Any) -> MadePlan:
         try:
-            goal, planner, seconds = request.goal.strip(), request.planner.strip(), messages.seconds("timeout", request.timeout)
+            goal, planner, seconds = request.goal.strip(), request.planner.strip(), read_seconds("timeout", request.timeout)
             return await self._world.make(goal, planner, seconds, with_new_plans=request.with_new_plans)
         except InputError as error:
             return MadePlan(Code.INVALID_GOAL, str(error))
@@ -427,7 +439,7 @@ class PlanningServer:
         feeding.cancel()
         del self._searches[goal]
         made = MadePlan(Code.CANCELLED, "the search was given up") if search.cancelled() else search.result()
-        self._server.end(goal, outcome_of(made.code), lambda: messages.made_fields(made))
+        self._server.end(goal, outcome_of(made.code), lambda: made_fields(made))
 
     async def _feed(self, goal: UUID) -> None:
         began = self._loop.time()

@@ -24,7 +24,7 @@ from pnm.core.net.block_net import BlockNet
 from pnm.errors import InputError
 from pnm.language.plan import HandWrittenPlan, parse_plans, read_plans
 from pnm.language.runner import Program
-from pnm.ros.tasks.task_messages import read_parameters, result_fields
+from pnm.ros.tasks.executor_topics import read_parameters, result_fields
 from pnm.tasks import Code, TaskListener
 from tests.support.pddl.problems import fleet
 from tests.support.tasks.node import simulated

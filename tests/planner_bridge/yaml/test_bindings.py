@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from planner_bridge.yaml.convert import exported, imported
+from planner_bridge.cli.convert import exported, imported
 from pnm.actions.bindings_file import read_bindings
 from pnm.core.machine.bindings import DEFAULT, Binding, Bindings, Foreign, Found, Table, WhenLost
 from pnm.core.message_fields import Combined, Comparison, FieldValue, Flag, parse_field

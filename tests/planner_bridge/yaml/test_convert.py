@@ -9,12 +9,12 @@ import pytest
 import yaml
 from hypothesis import given, settings, strategies as st
 
+from planner_bridge.cli.convert import exported, imported
 from planner_bridge.model.problem import Problem
 from planner_bridge.pddl import parse_domain, parse_problem, write_domain
 from planner_bridge.pddl.comments import CommentTable, Note
 from planner_bridge.pddl.expressions import tokens
 from planner_bridge.pddl.reader import comments
-from planner_bridge.yaml.convert import exported, imported
 from planner_bridge.yaml.emitter import Entry, YamlList, YamlMapping, document, scalar
 from planner_bridge.yaml.reader import parse
 from planner_bridge.yaml.writer import write_domain as domain_as_yaml, write_problem as problem_as_yaml

@@ -7,13 +7,13 @@ from typing import Final
 
 import pytest
 
+from planner_bridge.cli.convert import exported
 from planner_bridge.model.world import simulated_backend
 from planner_bridge.ordering.plan_to_graph import plan_graph
 from planner_bridge.pipeline.achieve import achieve_at
 from planner_bridge.pipeline.loading import load
 from planner_bridge.planning.solve import solve
 from planner_bridge.tasks.settings import Settings, TaskObserver
-from planner_bridge.yaml.convert import exported
 from pnm.clock import run_async
 from pnm.core.execution.call_results import CallResult
 from pnm.core.knowledge_base import KnowledgeBase

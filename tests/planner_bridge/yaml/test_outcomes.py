@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from planner_bridge.cli.convert import exported, imported
 from planner_bridge.pddl import read_domain
-from planner_bridge.yaml.convert import exported, imported
 from planner_bridge.yaml.reader import parse
 from planner_bridge.yaml.writer import write_domain
 from pnm.actions.bindings_file import read_bindings

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
+from planner_bridge.cli.convert import exported, imported
 from planner_bridge.pddl import parse_domain, read_domain, write_domain
-from planner_bridge.yaml.convert import exported, imported
 from pnm.core.logic.conditions import Holds
 from pnm.core.logic.domain import ActionSchema
 from pnm.core.logic.effects import Set

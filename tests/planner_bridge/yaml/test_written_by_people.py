@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
+from planner_bridge.cli.convert import exported, imported
 from planner_bridge.pddl import parse_domain
-from planner_bridge.yaml.convert import exported, imported
 from planner_bridge.yaml.reader import parse
 from planner_bridge.yaml.writer import write_domain as domain_as_yaml
 from pnm.errors import InputError

@@ -15,7 +15,7 @@ from click.testing import CliRunner
 from hypothesis import given
 
 from planner_bridge.cli.commands import app
-from planner_bridge.yaml.convert import exported
+from planner_bridge.cli.convert import exported
 from pnm.actions.bindings_file import BindingKeys
 from pnm.core import message_fields
 from pnm.core.machine.bindings import Binding

@@ -13,8 +13,7 @@ from rclpy.serialization import serialize_message
 from pnm.core.machine.bindings import Binding, Foreign, WhenLost
 from pnm.core.machine.plan_graph import GroundAction
 from pnm.core.machine.requests import Accepted, Ended, Outcome, OutcomeKind, Request
-from pnm.ros.action_client.action_services import ros_uuid
-from pnm.ros.action_client.other_goals import OtherGoals, statuses
+from pnm.ros.action_client.action_services import OtherGoals, ros_uuid, statuses
 from pnm.ros.node.services import until_true
 from tests.support.ros.child_process import until_logged
 from tests.support.ros.recording_client import RecordingClient, Sent

@@ -13,7 +13,7 @@ from pnm.actions.simulated_robots import SimulatedWorld
 from pnm.core.knowledge_base import KnowledgeBase
 from pnm.core.logic.expressions import UNDEFINED, UNKNOWN
 from pnm.errors import InputError
-from pnm.ros.action_server.simulated_servers import publish_state
+from pnm.ros.action_server.goal_server import publish_state
 from pnm.ros.node.messages import to_message
 from pnm.ros.node.ros_thread import profile
 from pnm.ros.sensors import TOPIC, SensedReports, read_state, write_state

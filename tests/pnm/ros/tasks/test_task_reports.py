@@ -15,8 +15,7 @@ from pnm.errors import InputError
 from pnm.ros.action_server.goal_server import GoalServer
 from pnm.ros.knowledge import LAYERS
 from pnm.ros.tasks import executor_topics as task_topics
-from pnm.ros.tasks.executor_topics import TaskTopics
-from pnm.ros.tasks.task_messages import CAUSES, TRACE, run_ending_fields
+from pnm.ros.tasks.executor_topics import CAUSES, TRACE, TaskTopics, run_ending_fields
 from pnm.ros.tasks.task_node import action_names
 from pnm.tasks import Code, OnConflict, StepState, TaskEnding, TaskState, TraceKind, Wanted
 from tests.support.ros.child_process import run_bounded

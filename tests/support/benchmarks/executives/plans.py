@@ -14,6 +14,7 @@ from tempfile import TemporaryDirectory
 
 import kairos
 
+from planner_bridge.cli.convert import imported
 from planner_bridge.model.plan import Plan, PlanningResult, PlanningStatus, PlanStep
 from planner_bridge.model.problem import Problem
 from planner_bridge.ordering.plan_to_graph import plan_graph
@@ -22,7 +23,6 @@ from planner_bridge.pipeline.achieve import carry_out
 from planner_bridge.planning.kairos import parse_for_kairos
 from planner_bridge.planning.solve import reduced, solve
 from planner_bridge.planning.validate import why_invalid
-from planner_bridge.yaml.convert import imported
 from pnm.core.execution.machine_index import prepare
 from pnm.core.knowledge_base import KnowledgeBase
 from pnm.core.logic.conditions import Compare, evaluate
