@@ -30,9 +30,8 @@ from pnm.core.machine.plan_graph import GroundAction
 from pnm.core.machine.requests import Accepted, ActionClient, Ended, Outcome, OutcomeKind, Report, Request
 from pnm.errors import InputError, PnmError
 from pnm.ros.node.messages import FieldError, fields, import_type, to_data, to_message
-from pnm.ros.node.publisher import Publisher, Throttle
 from pnm.ros.node.ros_thread import RosThread, call_on_loop
-from pnm.ros.node.services import Fields, arrived, until_true
+from pnm.ros.node.services import Fields, Publisher, Throttle, arrived, until_true
 from pnm.ros.sensors import TOPIC, write_state
 
 DEPTH: Final = 1000

@@ -20,8 +20,8 @@ from pnm.core.readiness import Readiness, ReadyState
 from pnm.errors import InputError, printable
 from pnm.files.yaml_nodes import parse_value
 from pnm.knowledge.source import SourceError, read_value, write_value
-from pnm.ros.node.publisher import Publisher, Throttle
 from pnm.ros.node.ros_thread import RosThread, call_on_loop
+from pnm.ros.node.services import Publisher, Throttle
 from pnm.tasks import (
     Code,
     MadePlan,

@@ -14,9 +14,8 @@ from pnm.core.machine.requests import OutcomeKind
 from pnm.errors import InputError
 from pnm.ros.action_server.goal_server import FEEDBACK, GoalServer
 from pnm.ros.node.graph import server_name
-from pnm.ros.node.publisher import Throttle
 from pnm.ros.node.ros_thread import RosThread
-from pnm.ros.node.services import Fields, RequestServices
+from pnm.ros.node.services import Fields, RequestServices, Throttle
 from pnm.ros.tasks.executor_topics import (
     TaskTopics,
     clock_offset,
