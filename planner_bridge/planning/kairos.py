@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import time
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from math import inf
@@ -187,27 +187,22 @@ def search_with_kairos(
     begin = partial(kairos.Planner().start, anytime=improve != 0.0, threads=1)  # type: ignore[no-untyped-call]
     start, weighed = partial(begin, parsed), parsed
     if rates is not None:
-        from planner_bridge.ordering.robot_time import priced  # here and below, because most problems are about no robot that is known
+        from planner_bridge.ordering.robot_time import priced  # here, because most problems are about no robot that is known
 
         weighed = parsed if (dear := priced(problem, rates)) is problem else parse_for_kairos(dear)
     search: kairos.Search = start(timeout=timeout)
-    searches, others, best = [search], iter(_BESIDE.items()), _Best(problem, parsed, rates)
+    searches, others, best, alike = [search], iter(_BESIDE.items()), _Best(problem, parsed, rates), _Alike(problem, rates, begin)
     together: kairos.Search | None = None
-    narrow: kairos.Search | None = None
-    alike: Plan | None = None
-    tried: tuple[PlanStep, ...] = ()
-    is_priced = is_pricing = False
     until, began, patience = time.monotonic() + timeout, time.process_time(), inf if improve == 0.0 else _PATIENCE
     helpers = iter(sorted(_BESIDE, key=_BESIDE.__getitem__, reverse=True))
     first = news = deadline = inf
-    alone, came = 0.0, inf
+    alone = allowed = 0.0
     parts: Iterator[bool] = iter(())
     if known is not None and not best.take(known):
         search.stop()
         return PlanningResult(PlanningStatus.INVALID_PLAN, message="the known plan does not solve the problem", planner=DEFAULT_PLANNER)
-    by_call = rates is not None and rates.are_measure(problem) and rates.tell_apart
     while not (cancel.is_set() or best.is_at(least)) and (now := time.monotonic()) < deadline:
-        is_alone = (search.running() or is_pricing) and time.process_time() < alone
+        is_alone = (search.running() or alike.is_pricing) and time.process_time() < alone
         if not is_alone and next(parts, False):
             news = now
         else:
@@ -220,25 +215,17 @@ def search_with_kairos(
         if best.of(searches) or (known is not None and first == inf):
             first, news = min(first, now), now
             if best.plan is not None and (improve is None or improve >= _PART):
-                from planner_bridge.planning.parts import better_parts, can_have_parts, narrowed  # short searches look for none
+                from planner_bridge.planning.parts import better_parts, can_have_parts  # short searches look for none
 
                 came, allowed = time.process_time(), best.worth if improve is None else improve
                 alone = came + _ALONE * allowed if known is None else alone
-                parts = better_parts(problem, best.plan, best.of_part, best.take) if can_have_parts(problem) else iter(())
-        is_pricing = bool(is_priced and narrow and narrow.running())
-        is_settled = time.process_time() >= came + (_TRIED if best.plan is alike else _SETTLED) and not (is_over or is_pricing)
-        if is_settled and best.plan and can_have_parts(problem) and (best.plan is not alike or (by_call and not is_priced)):
-            is_priced |= by_call and best.plan is alike
-            alike, came = best.plan, time.process_time()
-            if narrow is not None:
-                narrow.stop()
-            tried += alike.steps  # by the seconds of calls, what plans with more of them have may be the better choice
-            small = narrowed(problem, tried if is_priced else alike.steps)
-            small = priced(small, rates, by_call=True) if rates is not None and is_priced else small
-            searches.append(narrow := begin(parse_for_kairos(small), timeout=allowed * (1.0 if is_priced else _NARROW)))
-            if is_priced:
+                if can_have_parts(problem):
+                    parts, alike.since = better_parts(problem, best.plan, best.of_part, best.take), came
+        if best.plan and not is_over and (narrow := alike.begun(best.plan, allowed)):
+            searches.append(narrow)
+            if alike.is_priced:
                 searches[0].stop()  # for few calls in the whole problem, where it is known by now that these seconds count
-                alone = came + _ALONE * allowed
+                alone = time.process_time() + _ALONE * allowed
         if best.plan is not None:
             allowed = best.worth * (1.0 if known is None else AT_WORK) if improve is None else improve
             deadline = first + allowed if improve is not None else min(first + allowed, news + allowed * _IN_VAIN)
@@ -247,10 +234,10 @@ def search_with_kairos(
                 searches.append(together)
             if news < now and not any(beside.running() for beside in searches[1:]) and (other := next(others, None)):
                 searches.append(begin(weighed, timeout=allowed * other[1], search=other[0]))
-        if is_over and not is_priced and best.plan is not None and (by_call or weighed is not parsed) and search is searches[0]:
-            weighed = parse_for_kairos(priced(problem, rates, by_call=True)) if rates and by_call else weighed
+        if is_over and not alike.is_priced and best.plan is not None and (alike.by_call or weighed is not parsed) and search is searches[0]:
+            weighed = parse_for_kairos(priced(problem, rates, by_call=True)) if rates and alike.by_call else weighed
             searches.append(search := begin(weighed, timeout=max(_POLL, until - now)))
-        elif is_over and not (is_pricing or (together and together.running()) or (by_call and next(parts, False))):
+        elif is_over and not (alike.is_pricing or (together and together.running()) or (alike.by_call and next(parts, False))):
             break
     is_best = not search.running() and search.stop_reason is kairos.StopReason.PROVEN_OPTIMAL
     is_best &= weighed is parsed or search is not searches[0]
@@ -261,6 +248,11 @@ def search_with_kairos(
     best.of(searches)  # the searches end some milliseconds later
     if best.plan is not None:
         return PlanningResult(PlanningStatus.SOLVED, replace(best.plan, is_best=is_best), planner=DEFAULT_PLANNER)
+    return _without_plan(problem, search)
+
+
+def _without_plan(problem: Problem, search: kairos.Search) -> PlanningResult:
+    """Return the end of a search that has found no plan."""
     result = search.wait()
     status = _STATUS[result.status]
     if status is PlanningStatus.UNSOLVABLE and any(function.values for function in problem.domain.functions.values()):
@@ -384,6 +376,53 @@ class _Best:
         if self._rates is None:
             return sum(ASSUMED_SECONDS for _ in steps)
         return sum(self._rates.of(self._problem.domain.actions[step.action], step.arguments) for step in steps)
+
+
+class _Alike:
+    """The searches among calls like those of the best plan, one after the other.
+
+    The mutable state is what is set below "state".
+    """
+
+    def __init__(self, problem: Problem, rates: ExpectedTimes | None, begin: Callable[..., kairos.Search]) -> None:
+        self._problem, self._rates, self._begin = problem, rates, begin
+        self.by_call = rates is not None and rates.are_measure(problem) and rates.tell_apart
+        """Whether calls of one action take differently long, which counts."""
+        # state
+        self._search: kairos.Search | None = None
+        self._plan: Plan | None = None
+        """The plan that it was begun with."""
+        self._tried: tuple[PlanStep, ...] = ()
+        self.is_priced = False
+        """Whether they are for little time by the seconds of each call, and no more for few calls."""
+        self.since = inf
+        """The processor time when the best plan was found, or the last search begun; infinite where the calls of plans are no choice."""
+
+    @property
+    def is_pricing(self) -> bool:
+        """Whether one goes on that is for little time."""
+        return self.is_priced and self._search is not None and self._search.running()
+
+    def begun(self, best: Plan, allowed: float) -> kairos.Search | None:
+        """Return one more search, which has begun and may take `allowed` seconds at most, if it is time for one; the one before ends."""
+        is_same = best is self._plan
+        is_early = time.process_time() < self.since + (_TRIED if is_same else _SETTLED)
+        if is_early or self.is_pricing or (is_same and (self.is_priced or not self.by_call)):
+            return None
+        from planner_bridge.planning.parts import narrowed  # here, because short searches look for none
+
+        self.is_priced |= is_same
+        self._plan, self.since = best, time.process_time()
+        if self._search is not None:
+            self._search.stop()
+        self._tried += best.steps  # by the seconds of calls, what plans with more of them have may be the better choice
+        small = narrowed(self._problem, self._tried if self.is_priced else best.steps)
+        if self.is_priced and self._rates is not None:
+            from planner_bridge.ordering.robot_time import priced
+
+            small = priced(small, self._rates, by_call=True)
+        self._search = self._begin(parse_for_kairos(small), timeout=allowed * (1.0 if self.is_priced else _NARROW))
+        return self._search
 
 
 def _joined(diagnostics: Iterable[kairos.Diagnostic]) -> str:

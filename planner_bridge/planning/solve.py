@@ -99,50 +99,61 @@ def solve(
         from pnm.core.machine.bindings import NO_BINDINGS
 
         rates = ExpectedTimes(bindings or NO_BINDINGS, learned or NO_RATES, problem.init)
-    if problem.domain.uncertain:
-        if problem.has_tasks:
-            message = "task networks with actions that have several outcomes"
-            return PlanningResult(PlanningStatus.UNSUPPORTED, message=message, planner=planner)
-        from planner_bridge.model.determinization import determinization, untold  # here and below, because most actions have one outcome
+    if not problem.domain.uncertain:
+        return explained(problem, _searched(problem, planner, timeout, improve, cancel, executor, rates, known, bound))
+    if problem.has_tasks:
+        message = "task networks with actions that have several outcomes"
+        return PlanningResult(PlanningStatus.UNSUPPORTED, message=message, planner=planner)
+    from planner_bridge.model.determinization import determinization  # here, because most actions have one outcome
 
-        note = ""
-        if planner == DEFAULT_PLANNER:
-            from planner_bridge.planning.policies.policy import PolicySearch, Thinking
-            from planner_bridge.planning.policies.task import Unsuitable
+    note, began = "", time.monotonic()
+    if planner == DEFAULT_PLANNER:
+        tried = _beginning_of_policy(problem, timeout, improve, cancel, rates, bindings, before)
+        if isinstance(tried, PlanningResult):
+            return tried
+        note, timeout = tried, max(0.0, timeout - (time.monotonic() - began))
+    each = determinization(problem)
+    if rates is not None:
+        rates = replace(rates, bindings=each.bindings(rates.bindings), learned=each.rates(rates.learned))
+    found = _searched(each.problem, planner, timeout, improve, cancel, executor, rates)
+    return explained(problem, found) if found.plan is None else replace(found, plan=each.plan(found.plan), message=note)
 
-            began = time.monotonic()
-            until = began + _FOR_POLICIES * timeout
-            seconds = rates.expected if rates is not None and (problem.is_timed or rates.are_measure(problem)) else None
-            try:
-                chances = rates.outcomes if rates else None
 
-                def at_work(taken: float) -> float:
-                    return max(_POLICY_AT_WORK, AT_WORK * worth(taken)) if improve is None else improve
+def _beginning_of_policy(
+    problem: Problem,
+    timeout: float,
+    improve: float | None,
+    cancel: CancelToken | None,
+    rates: ExpectedTimes | None,
+    bindings: Bindings | None,
+    before: Policy | None,
+) -> PlanningResult | str:
+    """Return the plan that a policy begins with, and the policy, which goes on getting better; or why there is none."""
+    from planner_bridge.model.determinization import untold  # here, because most actions have one outcome
+    from planner_bridge.planning.policies.policy import PolicySearch, Thinking
+    from planner_bridge.planning.policies.task import Unsuitable
 
-                def is_over() -> bool:
-                    return time.monotonic() > until or (cancel is not None and cancel.is_set())
+    until = time.monotonic() + _FOR_POLICIES * timeout
+    last = before.search if isinstance(before, Thinking) else None
+    seconds = rates.expected if rates is not None and (problem.is_timed or rates.are_measure(problem)) else None
 
-                last = before.search if isinstance(before, Thinking) else None
-                thinking = Thinking(PolicySearch(problem, seconds, chances, last, is_over), timeout, cancel, at_work)
-                policy = thinking.wait(until - time.monotonic(), improve, worth)
-                if policy is not None and (plan := policy.plan(initial_knowledge(problem))) is not None:
-                    unseen = untold(problem, bindings, bindings.assumed) if bindings else ()
-                    notes = [
-                        f"nothing tells {' and '.join(ways)} of {action} apart: there the policy may not go on"
-                        for action, ways, _ in unseen
-                    ]
-                    return PlanningResult(PlanningStatus.SOLVED, plan, "; ".join(notes), planner=planner, policy=thinking)
-                del thinking  # which ends its search
-                note = "no policy was found in time"
-            except Unsuitable as unsuitable:
-                note = str(unsuitable)
-            timeout = max(0.0, timeout - (time.monotonic() - began))
-        each = determinization(problem)
-        if rates is not None:
-            rates = replace(rates, bindings=each.bindings(rates.bindings), learned=each.rates(rates.learned))
-        found = _searched(each.problem, planner, timeout, improve, cancel, executor, rates)
-        return explained(problem, found) if found.plan is None else replace(found, plan=each.plan(found.plan), message=note)
-    return explained(problem, _searched(problem, planner, timeout, improve, cancel, executor, rates, known, bound))
+    def at_work(taken: float) -> float:
+        return max(_POLICY_AT_WORK, AT_WORK * worth(taken)) if improve is None else improve
+
+    def is_over() -> bool:
+        return time.monotonic() > until or (cancel is not None and cancel.is_set())
+
+    try:
+        thinking = Thinking(PolicySearch(problem, seconds, rates.outcomes if rates else None, last, is_over), timeout, cancel, at_work)
+        policy = thinking.wait(until - time.monotonic(), improve, worth)
+        plan = None if policy is None else policy.plan(initial_knowledge(problem))
+    except Unsuitable as unsuitable:
+        return str(unsuitable)
+    if plan is None:
+        return "no policy was found in time"  # which ends the search, as it is dropped here
+    unseen = untold(problem, bindings, bindings.assumed) if bindings else ()
+    notes = [f"nothing tells {' and '.join(ways)} of {action} apart: there the policy may not go on" for action, ways, _ in unseen]
+    return PlanningResult(PlanningStatus.SOLVED, plan, "; ".join(notes), planner=DEFAULT_PLANNER, policy=thinking)
 
 
 def _searched(
