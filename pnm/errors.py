@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from difflib import get_close_matches
@@ -105,6 +105,16 @@ def counted(number: int, noun: str) -> str:
     ('1 operand', '2 operands')
     """
     return f"{number} {noun}{'' if number == 1 else 's'}"
+
+
+def listed(texts: Sequence[str], word: str = "and", most: int = 4) -> str:
+    """Return the texts as a list of words; of many the first ones, and how many more there are.
+
+    >>> listed(["a", "b"]), listed(["a", "b", "c"], most=2)
+    ('a and b', 'a and 2 more')
+    """
+    shown = texts if len(texts) <= most else [*texts[: most - 1], f"{len(texts) - most + 1} more"]
+    return f" {word} ".join(filter(None, (", ".join(shown[:-1]), shown[-1]))) if shown else ""
 
 
 def suggestion(name: str, known: Collection[str]) -> str:

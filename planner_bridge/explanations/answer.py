@@ -100,9 +100,3 @@ class Answer:
 
     def __str__(self) -> str:
         return "\n".join((f"{self.statement} [{self.known.value}]", *(indent(str(reason), "  ") for reason in self.reasons)))
-
-
-def listed(texts: list[str], word: str = "and", most: int = 4) -> str:
-    """Return the texts as a list of words; of many the first ones, and how many more there are."""
-    shown = texts if len(texts) <= most else [*texts[: most - 1], f"{len(texts) - most + 1} more"]
-    return f" {word} ".join(filter(None, (", ".join(shown[:-1]), shown[-1]))) if shown else ""

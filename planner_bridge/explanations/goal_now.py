@@ -14,7 +14,7 @@ from functools import partial
 from itertools import product
 from typing import Final, TypeAlias
 
-from planner_bridge.explanations.answer import Answer, Known, NoSmallerChange, Solves, listed
+from planner_bridge.explanations.answer import Answer, Known, NoSmallerChange, Solves
 from planner_bridge.explanations.needed_call import why_plan
 from planner_bridge.explanations.no_plan import SECONDS, AnswerLimit, why_no_plan, why_not_short
 from planner_bridge.model.grounding import problem_now
@@ -24,7 +24,7 @@ from planner_bridge.planning.reachability import GoalLiteral, Reachability, TooL
 from pnm.core.knowledge_base import KnowledgeBase
 from pnm.core.logic.conditions import Compare, Condition, parts_of
 from pnm.core.logic.expressions import NOTHING, Environment, Fluent, Value, choices, fluent_text
-from pnm.errors import counted
+from pnm.errors import counted, listed
 
 
 def packed(problem: Problem) -> str:

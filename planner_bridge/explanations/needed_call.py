@@ -13,7 +13,7 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Final, TypeAlias
 
-from planner_bridge.explanations.answer import Answer, Best, Claim, Fails, Known, Solves, Unsolvable, listed
+from planner_bridge.explanations.answer import Answer, Best, Claim, Fails, Known, Solves, Unsolvable
 from planner_bridge.explanations.no_plan import AnswerLimit, why_no_plan, why_trap, why_unreachable
 from planner_bridge.model.grounding import ground_action, initial_knowledge
 from planner_bridge.model.guards import unused_name
@@ -27,7 +27,7 @@ from pnm.core.logic.domain import ActionSchema, Declaration
 from pnm.core.logic.effects import Set, ground_effects
 from pnm.core.logic.expressions import Constant, Fluent, ValueOf, ground_expression
 from pnm.core.machine.plan_graph import ActionCall
-from pnm.errors import counted
+from pnm.errors import counted, listed
 
 Needs: TypeAlias = Mapping[int | None, tuple[Condition, ...]]
 """The conditions that an earlier call is needed for, by the later call whose they are; None for the goal."""

@@ -13,7 +13,7 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Final
 
-from planner_bridge.explanations.answer import Answer, Known, Solves, Unsolvable, listed
+from planner_bridge.explanations.answer import Answer, Known, Solves, Unsolvable
 from planner_bridge.model.determinization import determinization
 from planner_bridge.model.plan import Plan, PlanningResult, PlanningStatus
 from planner_bridge.model.problem import Problem
@@ -27,7 +27,7 @@ from planner_bridge.planning.solve import solve
 from pnm.core.logic.conditions import All, Compare, Condition, conjunction, conjuncts, fluents, parts_of
 from pnm.core.logic.expressions import NOTHING, fluent_text
 from pnm.core.machine.bindings import NO_BINDINGS, Bindings
-from pnm.errors import counted
+from pnm.errors import counted, listed
 
 # --- time for an answer ---------------------------------------------------------------------------
 # Searches for plans, and looks at what can be reached, that answer one question: they share a time limit.

@@ -10,7 +10,7 @@ from itertools import pairwise
 from typing import Final
 from uuid import UUID
 
-from planner_bridge.explanations.answer import Answer, Known, listed
+from planner_bridge.explanations.answer import Answer, Known
 from planner_bridge.explanations.history import JournalHistory, RunHistory, TaskHistory, Trouble
 from planner_bridge.explanations.needed_call import Course, why_call
 from planner_bridge.model.progression import Happening
@@ -22,7 +22,7 @@ from pnm.core.logic.expressions import Fluent, fluent_text
 from pnm.core.machine.plan_graph import ActionCall, Moment, Ordering, step_words
 from pnm.core.machine.requests import CallOutcome
 from pnm.core.pictures.timeline import Replan
-from pnm.errors import InputError, PnmError, counted, suggestion
+from pnm.errors import InputError, PnmError, counted, listed, suggestion
 from pnm.files.database.place import Place
 from pnm.tasks import TaskState
 

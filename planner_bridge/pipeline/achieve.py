@@ -120,14 +120,12 @@ def _goal_handle(
     return GoalHandle(backend_of(actions, loaded, settings, faults), loaded, settings, observer, stopwatch, kept)
 
 
-async def achieve_at(
-    backend: Backend, problem: Problem, settings: Settings, observer: TaskObserver | None = None, stopwatch: Stopwatch | None = None
-) -> TaskResult:
+async def achieve_at(backend: Backend, problem: Problem, settings: Settings, observer: TaskObserver) -> TaskResult:
     """Pursue the goal of a problem on a backend; `achieve` does this with an event loop of its own.
 
     Cancelling this stops the task: what is under way is cancelled and waited for; cancelling it again leaves it alone.
     """
-    return await GoalHandle(backend, problem, settings, observer or TaskObserver(), stopwatch or Stopwatch()).run()
+    return await GoalHandle(backend, problem, settings, observer, Stopwatch()).run()
 
 
 def readiness(problem: Problem, settings: Settings, wait: float = 0.0) -> tuple[Readiness, ...]:

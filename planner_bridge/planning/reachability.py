@@ -39,6 +39,7 @@ from pnm.core.logic.expressions import (
     is_number,
     value_of,
 )
+from pnm.errors import listed
 
 MOST_ACTIONS: Final = 20_000
 """Ground actions that are looked at."""
@@ -317,8 +318,6 @@ def literal_of(condition: Condition, env: Environment = NOTHING, truth: bool = T
 # Why there is no plan: the parts of the goal that no action can bring about, what would, and which condition is never true.
 
 
-_LISTED: Final = 3
-"""Facts, conditions and reasons that are named; others are counted."""
 _LENGTH: Final = 400
 """Characters after which no further reason is given."""
 
@@ -363,7 +362,7 @@ def _why(problem: Problem, possible: frozenset[Fluent], verdict: str) -> str:
         why = _clauses(endings, actions[-1] if actions[1:] else "")
         if not actions and len(endings) == 1 and endings[0][0] is _Ending.NEVER and endings[0][1].startswith(parts[0][0]):
             why = f"no action brings it about{endings[0][1].removeprefix(parts[0][0])}"
-        reason = f"{'; ' if text else ''}{_listed([part for part, _ in parts])} {verdict}: {would}{why}"
+        reason = f"{'; ' if text else ''}{listed([part for part, _ in parts])} {verdict}: {would}{why}"
         if text and len(text) + len(reason) > _LENGTH:
             return f"{text}; and {left} more"
         text, left = text + reason, left - 1
@@ -417,14 +416,8 @@ def _clauses(endings: tuple[_Said, ...], action: str) -> str:
         kinds.setdefault(ending, {})[text] = None
     clauses, needs = list[str](), f"{action} needs "
     for ending, texts in kinds.items():
-        what, verb = _listed([*texts]), ending.value[len(texts) > 1]
+        what, verb = listed([*texts]), ending.value[len(texts) > 1]
         if action and ending is not _Ending.FORBIDDEN:
             what, verb, needs = f"{needs}{what}", f", which {verb}", ""
         clauses.append(what + (verb if verb.startswith(",") else f" {verb}"))
     return ", and ".join(clauses)
-
-
-def _listed(texts: list[str]) -> str:
-    more = [f"{len(texts) - _LISTED} more"] if len(texts) > _LISTED else []
-    shown = [*texts[:_LISTED], *more]
-    return " and ".join(filter(None, (", ".join(shown[:-1]), shown[-1])))

@@ -23,7 +23,7 @@ from pnm.files.yaml_nodes import Mapped, Node
 from pnm.knowledge.sources import SourceChoice, check_source
 from pnm.language.formulas.readers import read_condition, read_conditions, read_duration, read_effects, read_outcomes, read_timed_effects
 from pnm.language.formulas.scope import NOTHING_DECLARED, FormulaScope, read_names, read_typed, read_typed_text, shown, unknown
-from pnm.language.formulas.values import read_data
+from pnm.language.formulas.words import read_data
 from pnm.language.grammar import (
     RESERVED,
     Action,

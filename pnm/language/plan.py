@@ -29,7 +29,7 @@ from pnm.files.yaml_nodes import MAX_BYTES, Mapped, parse_yaml
 from pnm.knowledge.sources import SourceChoice
 from pnm.language.domain import CLASSES, LanguageAction, LanguageDomain, domain_from, read_class, read_facts, read_goal
 from pnm.language.formulas.scope import NOTHING_DECLARED, FormulaScope, read_typed, unknown
-from pnm.language.formulas.values import read_literal
+from pnm.language.formulas.words import read_literal
 from pnm.language.grammar import ActionKind, DomainKeys, NamedPlan, NamedWorld, PlanKeys, Recipe, WorldFile
 from pnm.language.steps import StepReader, taken_literally
 from pnm.language.to_plan_graph import PlanGraphBuilder
@@ -90,15 +90,15 @@ class HandWrittenPlan:
         return self.graph.rules
 
 
-def read_plans(path: Path, domain: Path | None = None) -> dict[str, HandWrittenPlan]:
-    """Read all plans of a file, or of the world in it, by name; plans that name no domain themselves have that of another file.
+def read_plans(path: Path) -> dict[str, HandWrittenPlan]:
+    """Read all plans of a file, or of the world in it, by name.
 
     Raises `InputError` if there is none, something is malformed, or has names that are not there.
     """
     documents, warnings = read_documents(path)
     if len(documents) == 1 and is_world(documents[0]):
         return dict(read_world(path).plans)
-    return finished(plan_heads(documents, warnings, None if domain is None else read_domain(domain)))
+    return finished(plan_heads(documents, warnings, None))
 
 
 def parse_plans(text: str, file: str = "plan.yaml", domain: LanguageDomain | None = None) -> dict[str, HandWrittenPlan]:

@@ -26,7 +26,7 @@ from pnm.language import grammar
 from pnm.language.domain import OPERATION, LanguageAction, check_stored
 from pnm.language.formulas.readers import read_condition
 from pnm.language.formulas.scope import FormulaScope, known_names, shown, unknown
-from pnm.language.formulas.values import read_data, read_operation
+from pnm.language.formulas.words import read_data, read_operation
 
 
 @dataclass(frozen=True, slots=True)

@@ -423,6 +423,6 @@ class Rule(NamedTuple):
     """The whole plan begins anew."""
 
 
-def check_rule(cause: Cause, guard: Guard = _ALWAYS, call: int | None = None, action: TransitionAction | None = None) -> Rule:
+def check_rule(cause: Cause, guard: Guard = _ALWAYS, action: TransitionAction | None = None) -> Rule:
     """Return the rule of a check, which goes by the name of the cause that it finds."""
-    return Rule(cause.value, guard, call, action, cause=cause)
+    return Rule(cause.value, guard, action=action, cause=cause)

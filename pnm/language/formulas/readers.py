@@ -36,7 +36,7 @@ from pnm.files.yaml_keys import Keys, needed, node, number, pair, ref, text, wri
 from pnm.files.yaml_nodes import Node
 from pnm.language.formulas import words
 from pnm.language.formulas.scope import ANYTHING, FormulaScope, fluent_in, is_variable, read_fluent, read_typed, shown
-from pnm.language.formulas.values import comparison_parts, operation_parts, read_form
+from pnm.language.formulas.words import comparison_parts, operation_parts, read_form
 
 FALSE: Final = Any(())
 _NAME: Final = re.compile(r"\??[^\s()?]+\Z")

@@ -16,7 +16,7 @@ from pnm.core.logic.expressions import Fluent, Unknown, Value
 from pnm.files.yaml_nodes import Node, parse_yaml
 from pnm.language import read_domain, read_world
 from pnm.language.formulas.readers import read_condition, read_effects
-from pnm.language.formulas.values import read_data
+from pnm.language.formulas.words import read_data
 from pnm.language.grammar import COMMANDS
 from pnm.language.runner import Program
 from tests.support.docs.page import DOCS, blocks_of, files_of

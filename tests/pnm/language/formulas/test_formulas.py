@@ -15,7 +15,7 @@ from pnm.core.logic.expressions import DURATION, Arithmetic, Constant, ValueOf, 
 from pnm.errors import InputError
 from pnm.language.formulas.readers import FALSE, WrittenEffects, read_condition, read_duration, read_effects, read_expression
 from pnm.language.formulas.scope import ANYTHING, FormulaScope, read_names, read_typed
-from pnm.language.formulas.values import read_data, read_operation
+from pnm.language.formulas.words import read_data, read_operation
 from tests.support.files import refused_by_file
 from tests.support.yaml.formulas import lit, node, q
 
