@@ -142,7 +142,9 @@ def main() -> None:
     parser.add_argument("--problem", type=int, choices=PROBLEMS, help="only this one")
     parser.add_argument("--improve", type=float, default=LONGEST, help="as of pnm run; by default as for robots that take their time")
     parser.add_argument("--taught", type=int, default=0, help="how many runs before, of the seeds before the first, teach ours their rates")
-    parser.add_argument("--times", action="store_true", help="ours knows how long drives take, by drives without a goal before")
+    parser.add_argument(
+        "--times", type=int, nargs="?", const=5, default=0, help="ours knows how long drives take, by so many there and back before"
+    )
     parser.add_argument("--workshop", type=Path, default=ROOT.parent / "roscon24-workshop", help="the workshop's repository")
     parser.add_argument(
         "--worlds", type=Path, help="folder of world1.yaml to world4.yaml; else the workshop's, else a house of this project"
@@ -174,7 +176,7 @@ def main() -> None:
     with ProcessPoolExecutor(options.jobs) as processes:
         for problem in [options.problem] if options.problem else PROBLEMS:
             trials: dict[str, list[Trial]] = {}
-            times = drive_times(problem, worlds) if options.times else {}
+            times = drive_times(problem, worlds, rounds=options.times) if options.times else {}
             ours = {
                 name: partial(our_way, {**settings, "learned": taught(settings, begin, problem, worlds, before)}, begin, times)
                 for name, begin in begins.items()

@@ -68,8 +68,11 @@ def _house(problem: int) -> dict[str, Any]:
     return house
 
 
-def drive_times(problem: int, folder: Path | None = None) -> dict[tuple[str, str], float]:
-    """Return the seconds of drives between the places of a problem's world with the doors of the dining room open: what was driven."""
+def drive_times(problem: int, folder: Path | None = None, *, rounds: int) -> dict[tuple[str, str], float]:
+    """Return the mean seconds of so many drives there and back between the places of a problem's world, dining room doors open.
+
+    Paths are found by chance, so one drive may take half as long again as another.
+    """
     world = load_world(problem, 0, folder)
     (robot,) = world.robots
     for options in robot.action_execution_options.values():
@@ -82,9 +85,9 @@ def drive_times(problem: int, folder: Path | None = None) -> dict[tuple[str, str
         for one, other in combinations([place.name for place in places], 2):
             perform(world, asked(robot, "navigate", one))
             before = work.driving
-            for place in (other, one):
+            for place in (other, one) * rounds:
                 perform(world, asked(robot, "navigate", place))
-            times[one, other] = times[other, one] = (work.driving - before) / 2.0
+            times[one, other] = times[other, one] = (work.driving - before) / (2.0 * rounds)
     return times
 
 
