@@ -15,7 +15,7 @@ from planner_bridge.model.guards import unused_name
 from planner_bridge.model.plan import Plan
 from planner_bridge.model.problem import Domain, Metric, Problem, once_per_domain
 from planner_bridge.model.progression import calls_of
-from planner_bridge.model.rates import BEFORE, NO_RATES, Basis, Call, Chance, Counts, Rates
+from planner_bridge.model.rates import BEFORE, NO_RATES, Basis, Call, Chance, Counts, Durations, Rates, Rests, Times
 from planner_bridge.ordering.plan_to_graph import plan_graph
 from pnm.core.logic.domain import ActionSchema, Declaration
 from pnm.core.logic.effects import Alternative, Set
@@ -55,18 +55,28 @@ class ExpectedTimes:
         """
         key = action.name, action.arguments, action.duration
         if key not in self._found:
-            declared, call, depth = self.declared(action), self._call(action), self.depth(action.name, action.parameters)
-            chance, own = self.learned.chance(call), self.learned.groups.get(call.group[: 2 + depth], Counts()).took
-            if declared is not None and action.duration is None and isinstance(self.bindings.of(action.name).seconds, tuple):
-                lasts = (own.total / 1000.0 + BEFORE * declared) / (own.n + BEFORE)
-            else:
-                lasts = self.learned.mean(call, declared)
-            if declared is None and call.arguments and call.action in self._learned_apart and not own.n:
+            declared, call, chance = self.declared(action), self._call(action), self.learned.chance(self._call(action))
+            told = self.told(action)
+            lasts = self.learned.mean(call, declared) if told is None else told.mean
+            if declared is None and call.arguments and call.action in self._learned_apart and not self._own(action).n:
                 lasts = max(lasts, self.learned.seconds(Call("", call.action), declared).quantile(UNMADE))
             if chance.rests.basis is Basis.LEARNED:
                 lasts += (1.0 / chance.success - 1.0) * self.learned.mean(call, declared, succeeded=False)
             self._found[key] = lasts
         return self._found[key]
+
+    def told(self, action: GroundAction) -> Durations | None:
+        """Return the seconds of an attempt that succeeds, if a function of the problem says them, beside what that very call has taken."""
+        if (declared := self.declared(action)) is None or function_of(action, self.bindings) is None:
+            return None
+        own, known = self._own(action), Rests(Basis.DECLARED)
+        buckets = (*(own.seconds(known).buckets if own.n else ()), (declared, BEFORE))
+        return Durations(buckets, (own.total / 1000.0 + BEFORE * declared) / (own.n + BEFORE), known)
+
+    def _own(self, action: GroundAction) -> Times:
+        """Return the measured times of the calls that begin like this one, as far as calls of its action are told apart."""
+        depth = self.depth(action.name, action.parameters)
+        return self.learned.groups.get(self._call(action).group[: 2 + depth], Counts()).took
 
     def outcomes(self, action: GroundAction, ways: Sequence[Alternative]) -> Chance:
         """Return how likely the outcomes of an action are."""
@@ -85,12 +95,11 @@ class ExpectedTimes:
 
         They are the mean of all calls that begin so, and where the function that the binding names has no value those of the longest.
         """
-        seconds = self.bindings.of(action.name).seconds
         if action.duration is not None:
             return action.duration
-        if not isinstance(seconds, tuple):
-            return seconds
-        own = bind(seconds, {f"?{name}": value for name, value in zip(action.parameters, action.arguments, strict=True)})
+        if (own := function_of(action, self.bindings)) is None:
+            seconds = self.bindings.of(action.name).seconds
+            return None if isinstance(seconds, tuple) else seconds
         if is_number(value := self.known.get(own)):
             return float(value)
         times = {fluent: float(value) for fluent, value in self.known.items() if fluent[0] == own[0] and is_number(value)}
@@ -128,6 +137,14 @@ class ExpectedTimes:
             patterns = self.bindings.of(schema.name).resources
             needed.append({pattern.format_map(only) for pattern in patterns if only.keys() >= {*placeholders(pattern)}})
         return bool(needed) and bool(set[str].intersection(*needed))
+
+
+def function_of(action: GroundAction, bindings: Bindings) -> Fluent | None:
+    """Return the function that says how long a call takes; None if its domain says it, or the binding names none."""
+    seconds = bindings.of(action.name).seconds
+    if action.duration is not None or not isinstance(seconds, tuple):
+        return None
+    return bind(seconds, {f"?{name}": value for name, value in zip(action.parameters, action.arguments, strict=True)})
 
 
 def robot_time(problem: Problem, plan: Plan, rates: ExpectedTimes) -> float:

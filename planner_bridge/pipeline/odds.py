@@ -20,12 +20,13 @@ from typing import Any, Final, TypeAlias
 
 from planner_bridge.model.progression import NotApplicable, Progression, snapshot
 from planner_bridge.model.rates import NO_RATES, Basis, Call, Chance, End, Rates, wilson
+from planner_bridge.ordering.robot_time import ExpectedTimes
 from pnm.actions.faults import NO_FAULTS, Fault, FaultKind, Faults
 from pnm.actions.simulated_robots import LAG, SLOWNESS
 from pnm.core.knowledge_base import KnowledgeBase
 from pnm.core.logic.conditions import evaluate
 from pnm.core.logic.effects import Set, names_written
-from pnm.core.logic.expressions import Arithmetic, Constant, Fluent, fluent_text, is_number
+from pnm.core.logic.expressions import Arithmetic, Constant, Fluent, Value, fluent_text, is_number
 from pnm.core.machine.bindings import Bindings, WhenLost, is_open
 from pnm.core.machine.failure_causes import Cause
 from pnm.core.machine.plan_graph import ActionCall, GroundAction, Moment, PlanEvent, PlanGraph, necessary
@@ -362,20 +363,20 @@ def declared(faults: Faults, bindings: Bindings, untimed: float) -> Attempts:
     return (lambda _: None) if faults.changes else attempts
 
 
-def learned(rates: Rates, bindings: Bindings) -> Attempts:
+def learned(expected: ExpectedTimes) -> Attempts:
     """Return what is learned of the attempts of robots; what is not known of an action is assumed."""
+    rates, bindings = expected.learned, expected.bindings
 
     def attempts(action: GroundAction) -> AttemptOdds:
         call, binding, endings = Call.of(action, bindings), bindings.of(action.name), list[AttemptEnd]()
         chance, is_asked = rates.chance(call), binding.when_lost is WhenLost.ABORT
-        says = None if isinstance(binding.seconds, tuple) else binding.seconds  # what the problem says of them is for planners
-        lasts = says if action.duration is None else action.duration
+        lasts, told = expected.declared(action), expected.told(action)
         for end in chance.weights:
             leads = Leads.DONE if end is End.SUCCEEDED else Leads.AGAIN
             if end is End.ABORTED_FOR_GOOD or (end is End.LOST and is_asked):
                 leads = Leads.FAILED
-            seconds = rates.seconds(call, lasts, succeeded=leads is Leads.DONE).buckets
-            endings.append(AttemptEnd(leads, chance.of(end), tuple(seconds)))
+            seconds = told if told and leads is Leads.DONE else rates.seconds(call, lasts, succeeded=leads is Leads.DONE)
+            endings.append(AttemptEnd(leads, chance.of(end), seconds.buckets))
         outcomes = rates.outcomes(call, action.outcomes) if action.outcomes else None
         return AttemptOdds(tuple(endings), str(chance.rests), sum(chance.weights.values()), outcomes)
 
@@ -420,11 +421,15 @@ class KnownRobots:
     def __bool__(self) -> bool:
         return self.faults != NO_FAULTS or self.rates != NO_RATES
 
-    def attempts(self, bindings: Bindings, *, is_timed: bool) -> Attempts:
-        """Return the odds of attempts; what is not known of an action is assumed. Where nothing is timed, an action takes a second."""
+    def attempts(self, bindings: Bindings, world: Mapping[Fluent, Value], *, is_timed: bool) -> Attempts:
+        """Return the odds of attempts; what is not known of an action is assumed. Where nothing is timed, an action takes a second.
+
+        Args:
+            world: has the functions that bindings name for seconds.
+        """
         if self.faults != NO_FAULTS:
             return declared(self.faults, bindings, 0.0 if is_timed else 1.0)
-        return learned(self.rates, bindings)
+        return learned(ExpectedTimes(bindings, self.rates, world))
 
     def world(self, attempts: Attempts, spent: frozenset[str] = frozenset()) -> Faults:
         """Return the faults of simulated robots whose attempts have these odds, and use up what is spent as in `played`."""

@@ -26,6 +26,7 @@ from planner_bridge.model.problem import Problem
 from planner_bridge.model.progression import NotApplicable, Progression, snapshot
 from planner_bridge.model.rates import Basis, Chance, Rests
 from planner_bridge.ordering.plan_to_graph import stretch_graph
+from planner_bridge.ordering.robot_time import function_of
 from planner_bridge.pipeline.odds import (
     DRAWS,
     INTERVAL_DRAWS,
@@ -44,7 +45,7 @@ from pnm.core.execution.run_view import RunView
 from pnm.core.knowledge_base import KnowledgeBase
 from pnm.core.logic.conditions import evaluate
 from pnm.core.logic.effects import Alternative
-from pnm.core.logic.expressions import Fluent
+from pnm.core.logic.expressions import Fluent, Value, is_number
 from pnm.core.machine.bindings import Bindings
 from pnm.core.machine.plan_graph import PlanGraph
 from pnm.core.machine.requests import CallOutcome
@@ -236,6 +237,7 @@ class RestOfPlan:
         accepted: when servers took on what is under way.
         origin: the time from which its plan counts.
         now: the time on the same clock.
+        world: the functions that bindings name for the seconds of its calls.
     """
 
     graph: PlanGraph
@@ -244,6 +246,7 @@ class RestOfPlan:
     accepted: Mapping[int, float]
     origin: float
     now: float
+    world: Mapping[Fluent, Value] = field(default_factory=dict)
 
     @staticmethod
     def of(run: RunView, since: float) -> RestOfPlan:
@@ -254,11 +257,13 @@ class RestOfPlan:
         events = [time for call in calls for time in (call.started, call.ended) if time is not None]
         now = max(since, run.origin or since, *events, *accepted.values())
         results = {result.call.index: result for result in calls}
-        return RestOfPlan(plan, run.bindings, results, accepted, now if run.origin is None else run.origin, now)
+        named = {function_of(call.call.action, run.bindings) for call in calls} - {None}
+        world = {fluent: value for fluent in named if fluent and is_number(value := run.knowledge.value(fluent))}
+        return RestOfPlan(plan, run.bindings, results, accepted, now if run.origin is None else run.origin, now, world)
 
     def attempts(self, known: KnownRobots) -> Attempts:
         """Return what is known of the attempts of its calls."""
-        return known.attempts(self.bindings, is_timed=any(call.action.duration is not None for call in self.graph.calls))
+        return known.attempts(self.bindings, self.world, is_timed=any(call.action.duration is not None for call in self.graph.calls))
 
     def calls(self, known: KnownRobots) -> tuple[CallOdds, ...] | None:
         """Return the odds of its calls; None if there are none, or something has failed, and something else follows."""

@@ -58,7 +58,7 @@ def odds_of_goal(
     """
     bindings, graph = settings.bindings, plan_graph(problem, plan)
     known = KnownRobots(settings.learned, faults)
-    attempts = known.attempts(bindings, is_timed=problem.is_timed)
+    attempts = known.attempts(bindings, problem.init, is_timed=problem.is_timed)
     calls = odds_of_calls(graph, bindings, attempts)
     alone = None if calls is None else exact(graph, calls, initial_knowledge(problem))
     if policy and plan.steps and (chain := PolicyChain.of(problem, policy, bindings, attempts)):
@@ -95,7 +95,7 @@ def odds_of_plan(
     plans = read_plans(file)
     plan = plans[chosen_plan(plans, name)]
     bindings, known = settings.bindings.before(plan.bindings), KnownRobots(settings.learned, faults)
-    attempts = known.attempts(bindings, is_timed=False)
+    attempts = known.attempts(bindings, plan.facts, is_timed=False)
     calls = odds_of_calls(plan.graph, bindings, attempts)
     alone = None if calls is None else exact(plan.graph, calls, initial_knowledge(plan))
     if alone or not seconds:  # without recoveries of its own nothing is planned anew

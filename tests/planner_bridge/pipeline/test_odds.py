@@ -14,16 +14,31 @@ from hypothesis import given, settings, strategies as st
 from planner_bridge.model.grounding import initial_knowledge
 from planner_bridge.model.plan import Plan
 from planner_bridge.model.problem import Problem
-from planner_bridge.model.rates import Call, Counts, End, Rates, Times
+from planner_bridge.model.rates import Call, Counts, End, Rates, Times, step_of
 from planner_bridge.ordering.plan_to_graph import plan_graph
+from planner_bridge.ordering.robot_time import ExpectedTimes
 from planner_bridge.pddl import parse_domain, parse_problem
-from planner_bridge.pipeline.odds import AttemptEnd, AttemptOdds, CallOdds, Leads, Odds, declared, exact, learned, odds_of_calls, played
+from planner_bridge.pipeline.odds import (
+    AttemptEnd,
+    AttemptOdds,
+    Attempts,
+    CallOdds,
+    KnownRobots,
+    Leads,
+    Odds,
+    declared,
+    exact,
+    learned,
+    odds_of_calls,
+    played,
+)
 from planner_bridge.pipeline.roll_outs import odds_of_goal
 from planner_bridge.planning.solve import solve
 from planner_bridge.tasks.replanning import Limits
 from planner_bridge.tasks.settings import Settings
 from pnm.actions.faults import NO_FAULTS, Fault, FaultKind, Faults
 from pnm.core.knowledge_base import KnowledgeBase
+from pnm.core.logic.expressions import Fluent, Value
 from pnm.core.machine.bindings import Binding, Bindings
 from pnm.core.machine.plan_graph import ActionCall, GroundAction, Moment, Ordering, PlanEvent, PlanGraph
 from pnm.tasks import percent
@@ -150,7 +165,7 @@ def test_odds_of_learned_rates_are_those_of_robots_that_play_them() -> None:
     ends = {End.SUCCEEDED: 70, End.ABORTED: 20, End.ABORTED_FOR_GOOD: 5, End.REJECTED: 10}
     counts = Counts(ends, Times({80: 30, 100: 40}, 350_000), Times({20: 35}, 60_000))
     rates = Rates({Call("drive", "drive", ("v", "a", "b")): counts})
-    attempts = learned(rates, bindings)
+    attempts = learned(ExpectedTimes(bindings, rates))
     calls = odds_of_calls(graph_of(problem), bindings, attempts)
     assert calls is not None
     odds = exact(graph_of(problem), calls, initial_knowledge(problem))
@@ -161,9 +176,25 @@ def test_odds_of_learned_rates_are_those_of_robots_that_play_them() -> None:
 
 
 def test_seconds_that_nobody_has_measured_are_those_of_the_binding() -> None:
-    attempt = learned(Rates(), Bindings({"wave": Binding(seconds=7.0)}))(GroundAction("wave"))
+    attempt = learned(ExpectedTimes(Bindings({"wave": Binding(seconds=7.0)})))(GroundAction("wave"))
     assert attempt is not None
     assert {seconds for end in attempt.endings for seconds, _ in end.seconds} == {7.0}
+
+
+def test_a_function_of_the_problem_says_how_long_each_call_takes() -> None:
+    bindings = Bindings({"drive": Binding(seconds=("lasts", "?from", "?to"))})
+    told: dict[Fluent, Value] = {("lasts", "a", "b"): 40.0, ("lasts", "c", "d"): 2.0}
+    attempts = KnownRobots().attempts(bindings, told, is_timed=False)
+    seen = Rates({Call("drive", "drive", ("v", "a", "b")): Counts({End.SUCCEEDED: 2}, Times({step_of(10.0): 2}, 20_000))})
+    both = KnownRobots(seen).attempts(bindings, told, is_timed=False)
+    drives = [GroundAction("drive", (van, *way), ("van", "from", "to")) for van, way in (("v", "ab"), ("w", "cd"))]
+
+    def seconds(action: GroundAction, attempts: Attempts) -> float:
+        ((ending,),) = [[one for one in found.endings if one.leads is Leads.DONE] for found in [attempts(action)] if found]
+        return sum(time * weight for time, weight in ending.seconds) / sum(weight for _, weight in ending.seconds)
+
+    assert [seconds(drive, attempts) for drive in drives] == [40.0, 2.0]
+    assert [seconds(drive, both) for drive in drives] == pytest.approx([25.0, 2.0]), "what was learned of another call does not count"
 
 
 def graph_of(problem: Problem) -> PlanGraph:

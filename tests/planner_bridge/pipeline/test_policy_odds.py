@@ -40,7 +40,7 @@ def door(effect: str) -> Problem:
 
 def exact(problem: Problem, policy: plan.Policy | None, *faults: Fault, bindings: Bindings = ONCE) -> Odds | None:
     assert policy is not None
-    chain = PolicyChain.of(problem, policy, bindings, KnownRobots(faults=Faults(faults)).attempts(bindings, is_timed=False))
+    chain = PolicyChain.of(problem, policy, bindings, KnownRobots(faults=Faults(faults)).attempts(bindings, {}, is_timed=False))
     return chain.odds() if chain else None
 
 

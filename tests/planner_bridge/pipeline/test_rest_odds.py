@@ -75,7 +75,7 @@ def test_a_plan_without_calls_is_certain_and_takes_no_time() -> None:
 @pytest.mark.parametrize(("resources", "lasts"), [((), 4.0), (("broom",), 12.0)])
 def test_calls_that_need_the_same_thing_take_turns(resources: tuple[str, ...], lasts: float) -> None:
     bound = Bindings({"go": Binding(resources=resources)})
-    calls = odds_of_calls(PlanGraph(CALLS), bound, KnownRobots().attempts(bound, is_timed=True))
+    calls = odds_of_calls(PlanGraph(CALLS), bound, KnownRobots().attempts(bound, {}, is_timed=True))
     assert calls is not None
     odds = exact(PlanGraph(CALLS), calls, KnowledgeBase())
     assert odds is not None
