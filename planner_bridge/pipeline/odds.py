@@ -2,31 +2,35 @@
 
 A call makes one attempt and as many more as its budget pays for. An attempt ends in success, in a failure that another attempt may
 follow, or in one for good; all attempts of a call are alike, and calls end independently of each other. The goal is reached if every
-call succeeds, so its chance is the product of theirs, and exact. Times have no such form where branches meet that have a past in
+call succeeds, so its chance is the product of theirs, and exact. Chances that were learned are not known for sure, and are the same for
+all calls that rest on them: the chance of the goal is the mean over what they may be, which is more than the product of their means.
+Times have no such form where branches meet that have a past in
 common: they are drawn from the chains, call by call, and carried along the orderings; only runs that reach the goal count.
 """
 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from enum import Enum
 from graphlib import CycleError, TopologicalSorter
+from itertools import pairwise
 from math import isinf, prod
 from operator import add
 from random import Random
+from types import MappingProxyType
 from typing import Any, Final, TypeAlias
 
 from planner_bridge.model.progression import NotApplicable, Progression, snapshot
 from planner_bridge.model.rates import NO_RATES, Basis, Call, Chance, End, Rates, wilson
 from planner_bridge.ordering.robot_time import ExpectedTimes
-from pnm.actions.faults import NO_FAULTS, Fault, FaultKind, Faults
+from pnm.actions.faults import NO_FAULTS, FaultKind, Faults
 from pnm.actions.simulated_robots import LAG, SLOWNESS
 from pnm.core.knowledge_base import KnowledgeBase
 from pnm.core.logic.conditions import evaluate
-from pnm.core.logic.effects import Set, names_written
-from pnm.core.logic.expressions import Arithmetic, Constant, Fluent, Value, fluent_text, is_number
+from pnm.core.logic.effects import names_written
+from pnm.core.logic.expressions import Fluent, Value, fluent_text, is_number
 from pnm.core.machine.bindings import Bindings, WhenLost, is_open
 from pnm.core.machine.failure_causes import Cause
 from pnm.core.machine.plan_graph import ActionCall, GroundAction, Moment, PlanEvent, PlanGraph, necessary
@@ -38,6 +42,8 @@ WEAKEST: Final = 3
 """Calls that are named as the weakest, at most."""
 INTERVAL_DRAWS: Final = 400
 """Draws of chances that were estimated."""
+_MOST_FAILED: Final = 2000
+"""Attempts that fail of calls that rest on the same chances, at most: to reach the goal after more of them is all but impossible."""
 
 
 class Leads(Enum):
@@ -157,6 +163,45 @@ def _success(done: float, again: float, retries: int) -> float:
     return min(1.0, done * sum(again**tries for tries in range(retries + 1)))
 
 
+def chance_of(calls: Iterable[CallOdds], more: Mapping[str, int] = MappingProxyType({})) -> float:
+    """Return the chance that all calls succeed, with so many retries more than they have, by action."""
+    alike: dict[tuple[str, float, tuple[tuple[Leads, float], ...]], list[int]] = {}
+    for call in calls:
+        if call.ended is None:
+            alike.setdefault(call.attempt.estimate, []).append(call.retries + more.get(call.call.action.name, 0))
+    return prod(_together(*estimate, retries) for estimate, retries in alike.items())
+
+
+def _together(_: str, total: float, endings: tuple[tuple[Leads, float], ...], retries: Sequence[int]) -> float:
+    """Return the chance that calls with so many retries succeed whose attempts end alike: the mean over a Dirichlet distribution.
+
+    If k calls succeed after j attempts in all that do not, the chance of that is the mean of done^k again^j, for which there is a formula,
+    times the number of ways. Each way has the weight here that it has if the chances are their means.
+
+    Args:
+        total: the attempts that the chances were estimated from; 0 if they are known.
+    """
+    done, again = (sum(chance for leads, chance in endings if leads is kind) for kind in (Leads.DONE, Leads.AGAIN))
+    means = prod(_success(done, again, number) for number in retries)
+    if not total or not means:
+        return means
+    ways, k = [1.0], len(retries)
+    for number in retries if again else ():
+        scale, beyond, before, ways = done / _success(done, again, number), again ** (number + 1), (*ways, *[0.0] * number), list[float]()
+        way = 0.0
+        for j, other in enumerate(before[:_MOST_FAILED]):
+            way = again * way + scale * (other - (beyond * before[j - number - 1] if j > number else 0.0))
+            ways.append(way)
+    ratio = prod((total + i / done) / (total + i) for i in range(k))
+    found = ratio * ways[0]
+    for j, (last, way) in enumerate(pairwise(ways)):
+        ratio *= (total + j / again) / (total + k + j)
+        found += ratio * way
+        if way < last and ratio * way < 1e-17 * found:
+            break
+    return min(1.0, means * found)
+
+
 def _quantile(values: tuple[float, ...], share: float) -> float:
     return values[min(len(values) - 1, int(share * len(values)))]
 
@@ -250,7 +295,7 @@ def exact(graph: PlanGraph, calls: tuple[CallOdds, ...], knowledge: KnowledgeBas
         return None
     if evaluate(graph.goal, walk.state) is not True:
         return None
-    chance = prod(call.chance() for call in calls)
+    chance = chance_of(calls)
     after = sorted((fluent, value) for fluent, value in walk.state.facts().items() if is_number(value) and value != knowledge.value(fluent))
     numbers = {fluent: (float(value),) for fluent, value in after}
     lasts = tuple(sorted(times(graph, calls))) if chance else ()
@@ -274,14 +319,20 @@ def interval(
         for estimate, _ in alike:
             if estimate not in ways:
                 _, total, endings = estimate
-                shares = [(leads, random.gammavariate(total * share, 1.0) if total and share else share) for leads, share in endings]
-                every = sum(share for _, share in shares)
-                ways[estimate] = {kind: sum(share for leads, share in shares if leads is kind) / every for kind in Leads}
+                shares = as_may_be([share for _, share in endings], total, random)
+                drawn_ends = [(leads, share) for (leads, _), share in zip(endings, shares, strict=True)]
+                ways[estimate] = {kind: sum(share for leads, share in drawn_ends if leads is kind) for kind in Leads}
         success = {kind: _success(ways[kind[0]][Leads.DONE], ways[kind[0]][Leads.AGAIN], kind[1]) for kind in alike}
         return chance(success) if chance else prod(success[kind] ** number for kind, number in alike.items())
 
     chances = tuple(sorted(drawn() for _ in range(count)))
     return _quantile(chances, 0.025), _quantile(chances, 0.975)
+
+
+def as_may_be(chances: Sequence[float], total: float, random: Random) -> list[float]:
+    """Return chances as they may be instead, if they were estimated from so many attempts."""
+    drawn = [random.gammavariate(total * chance, 1.0) if total and chance else chance for chance in chances]
+    return [share / sum(drawn) for share in drawn]
 
 
 def times(graph: PlanGraph, calls: tuple[CallOdds, ...], count: int = DRAWS, began: float = 0.0) -> list[float]:
@@ -383,34 +434,6 @@ def learned(expected: ExpectedTimes) -> Attempts:
     return attempts
 
 
-def played(attempts: Attempts, spent: frozenset[str] = frozenset()) -> Faults:
-    """Return the faults of simulated robots whose attempts end so.
-
-    Args:
-        spent: functions that every attempt decreases by as much, and calls on average by what their action says.
-    """
-
-    def drawn(action: GroundAction, random: Random) -> Fault | None:
-        if (attempt := attempts(action)) is None:
-            return None
-        (ending,) = random.choices(attempt.endings, [one.chance for one in attempt.endings])
-        seconds, weights = zip(*ending.seconds, strict=True)
-        kind = FaultKind.SLOW if ending.leads is Leads.DONE else FaultKind.ABORT
-        share = Constant(attempt.chance(Leads.DONE))
-        uses = {
-            effect: replace(effect, value=Arithmetic("*", (share, effect.value)))
-            for effect in action.end_effects
-            if isinstance(effect, Set) and effect.operation == "decrease" and effect.fluent[0] in spent and not action.outcomes
-        }
-        whole = tuple([uses.get(effect, effect) if isinstance(effect, Set) else effect for effect in action.end_effects]) if uses else None
-        lasts, for_good, outcome = random.choices(seconds, weights)[0], ending.leads is Leads.FAILED, ""
-        if attempt.outcomes:
-            (outcome,) = random.choices([*attempt.outcomes.weights], [*attempt.outcomes.weights.values()])
-        return Fault(action.name, kind, seconds=lasts, for_good=for_good, outcome=outcome, succeeded=whole, failed=tuple(uses.values()))
-
-    return Faults(drawn=drawn)
-
-
 @dataclass(frozen=True)
 class KnownRobots:
     """What is known of the attempts of robots: what simulated ones declare, if there is that; else what is learned of real ones."""
@@ -430,10 +453,6 @@ class KnownRobots:
         if self.faults != NO_FAULTS:
             return declared(self.faults, bindings, 0.0 if is_timed else 1.0)
         return learned(ExpectedTimes(bindings, self.rates, world))
-
-    def world(self, attempts: Attempts, spent: frozenset[str] = frozenset()) -> Faults:
-        """Return the faults of simulated robots whose attempts have these odds, and use up what is spent as in `played`."""
-        return self.faults if self.faults != NO_FAULTS else played(attempts, spent)
 
 
 NOTHING_KNOWN: Final = KnownRobots()
@@ -473,7 +492,7 @@ class GoalOdds:
         is_product = self.alone and self.alone.chance and not self.alone.actions
         for action in dict.fromkeys(call.call.action.name for call in self.weakest[:WEAKEST]) if is_product else ():
             retries = max(call.retries for call in self.calls if call.call.action.name == action)
-            more = [prod(call.chance(extra * (call.call.action.name == action)) for call in self.calls) for extra in (1, 2)]
+            more = [chance_of(self.calls, {action: extra}) for extra in (1, 2)]
             gains[action] = retries, more
         return gains
 

@@ -36,6 +36,7 @@ from planner_bridge.pipeline.odds import (
     GoalOdds,
     KnownRobots,
     Odds,
+    chance_of,
     interval,
     odds_of_calls,
     times,
@@ -306,6 +307,6 @@ class RestOfPlan:
                 return None  # it is not known what follows, or not yet how it has turned out
             chain = PolicyChain((replace(begun, then=chain.stretches[0].then), *chain.stretches[1:]))
             return GoalOdds(chain.odds(), None, chain.calls)
-        chance = prod(call.chance() for call in begun.left)
+        chance = chance_of(begun.left)
         lasts = tuple(sorted(times(self.graph, calls, _draws(len(begun.left)), begun.began))) if chance else ()
         return GoalOdds(Odds(chance, (chance, chance), lasts), None, begun.left)

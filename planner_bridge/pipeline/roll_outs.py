@@ -9,26 +9,28 @@ import time
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
+from random import Random
 from typing import Final
 
 from planner_bridge.model.grounding import initial_knowledge
 from planner_bridge.model.plan import Plan, PlanningResult, PlanningStatus, Policy
 from planner_bridge.model.problem import Domain, Problem
 from planner_bridge.model.progression import stretch
+from planner_bridge.model.rates import Chance
 from planner_bridge.model.world import simulated_backend
 from planner_bridge.ordering.plan_to_graph import plan_graph
 from planner_bridge.pipeline.achieve import carry_out
 from planner_bridge.pipeline.goal_handle import GoalHandle
-from planner_bridge.pipeline.odds import GoalOdds, KnownRobots, Odds, exact, odds_of_calls
+from planner_bridge.pipeline.odds import AttemptOdds, Attempts, GoalOdds, KnownRobots, Leads, Odds, as_may_be, exact, odds_of_calls
 from planner_bridge.pipeline.policy_odds import PolicyChain
 from planner_bridge.tasks.result import Stopwatch, TaskResult
 from planner_bridge.tasks.settings import Memory, ProvedMachine, Settings, TaskObserver
-from pnm.actions.faults import NO_FAULTS, Faults
+from pnm.actions.faults import NO_FAULTS, Fault, FaultKind, Faults
 from pnm.clock import run_async
 from pnm.core.knowledge_base import KnowledgeBase
 from pnm.core.logic.effects import Set
-from pnm.core.logic.expressions import Constant, Fluent, is_number
-from pnm.core.machine.plan_graph import PlanGraph
+from pnm.core.logic.expressions import Arithmetic, Constant, Fluent, is_number
+from pnm.core.machine.plan_graph import GroundAction, PlanGraph
 from pnm.language.plan import chosen_plan, read_plans
 from pnm.tasks import Code
 
@@ -69,11 +71,11 @@ def odds_of_goal(
         PlanningResult(PlanningStatus.SOLVED, stretch(problem, plan), policy=policy),
         used_up(problem.domain) if faults == NO_FAULTS else frozenset(),
     )
-    world, memory = known.world(attempts, spent), RememberedPlans(problem, first, time.process_time() + seconds)
+    memory = RememberedPlans(problem, first, time.process_time() + seconds)
     chosen = replace(settings, improve=0.0, memory=memory, ask_for_help=False)
 
     def run(number: int) -> tuple[TaskResult, KnowledgeBase] | None:
-        backend = simulated_backend(problem, bindings, replace(world, seed=number))
+        backend = simulated_backend(problem, bindings, world_of(known, attempts, number, spent))
         result = run_async(GoalHandle(backend, problem, chosen, TaskObserver(), Stopwatch()).run(), virtual=True)
         return None if memory.is_late else (result, backend.robots.world.truth)
 
@@ -100,10 +102,10 @@ def odds_of_plan(
     alone = None if calls is None else exact(plan.graph, calls, initial_knowledge(plan))
     if alone or not seconds:  # without recoveries of its own nothing is planned anew
         return GoalOdds(alone, None, calls or ())
-    world, chosen = known.world(attempts), replace(settings, ask_for_help=False)
+    chosen = replace(settings, ask_for_help=False)
 
     def run(number: int) -> tuple[TaskResult, None]:
-        return carry_out(file, name, parameters, faults=replace(world, seed=number), settings=chosen), None
+        return carry_out(file, name, parameters, faults=world_of(known, attempts, number), settings=chosen), None
 
     return GoalOdds(None, _rolled(run, KnowledgeBase(), seconds, MOST))
 
@@ -136,6 +138,57 @@ def _rolled(
                 if is_number(value) and (fluent in numbers or value != before.value(fluent)):
                     numbers.setdefault(fluent, []).append(float(value))
     return Odds.estimated(len(reached) - easy, number - easy, reached, numbers, number, sure) if number else None
+
+
+def world_of(known: KnownRobots, attempts: Attempts, number: int, spent: frozenset[str] = frozenset()) -> Faults:
+    """Return the faults of simulated robots in one of the worlds where attempts may have these odds; spent is as in `played`."""
+    faults = known.faults if known.faults != NO_FAULTS else played(in_one_world(attempts, Random(f"world {number}")), spent)
+    return replace(faults, seed=number)
+
+
+def in_one_world(attempts: Attempts, random: Random) -> Attempts:
+    """Return attempts with the chances that they may have in one world: all that rest on the same estimate have the same there."""
+    chances, outcomes = dict[object, list[float]](), dict[object, Chance]()
+
+    def there(action: GroundAction) -> AttemptOdds | None:
+        if (attempt := attempts(action)) is None:
+            return None
+        if (estimate := attempt.estimate) not in chances:
+            chances[estimate] = as_may_be([ending.chance for ending in attempt.endings], attempt.total, random)
+        endings = tuple([replace(ending, chance=chance) for ending, chance in zip(attempt.endings, chances[estimate], strict=True)])
+        if (ways := attempt.outcomes) is not None:
+            ways = outcomes.setdefault((ways.rests, *ways.weights), ways.drawn(random))
+        return replace(attempt, endings=endings, outcomes=ways)
+
+    return there
+
+
+def played(attempts: Attempts, spent: frozenset[str] = frozenset()) -> Faults:
+    """Return the faults of simulated robots whose attempts end so.
+
+    Args:
+        spent: functions that every attempt decreases by as much, and calls on average by what their action says.
+    """
+
+    def drawn(action: GroundAction, random: Random) -> Fault | None:
+        if (attempt := attempts(action)) is None:
+            return None
+        (ending,) = random.choices(attempt.endings, [one.chance for one in attempt.endings])
+        seconds, weights = zip(*ending.seconds, strict=True)
+        kind = FaultKind.SLOW if ending.leads is Leads.DONE else FaultKind.ABORT
+        share = Constant(attempt.chance(Leads.DONE))
+        uses = {
+            effect: replace(effect, value=Arithmetic("*", (share, effect.value)))
+            for effect in action.end_effects
+            if isinstance(effect, Set) and effect.operation == "decrease" and effect.fluent[0] in spent and not action.outcomes
+        }
+        whole = tuple([uses.get(effect, effect) if isinstance(effect, Set) else effect for effect in action.end_effects]) if uses else None
+        lasts, for_good, outcome = random.choices(seconds, weights)[0], ending.leads is Leads.FAILED, ""
+        if attempt.outcomes:
+            (outcome,) = random.choices([*attempt.outcomes.weights], [*attempt.outcomes.weights.values()])
+        return Fault(action.name, kind, seconds=lasts, for_good=for_good, outcome=outcome, succeeded=whole, failed=tuple(uses.values()))
+
+    return Faults(drawn=drawn)
 
 
 class RememberedPlans(Memory):

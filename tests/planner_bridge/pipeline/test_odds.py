@@ -30,9 +30,8 @@ from planner_bridge.pipeline.odds import (
     exact,
     learned,
     odds_of_calls,
-    played,
 )
-from planner_bridge.pipeline.roll_outs import odds_of_goal
+from planner_bridge.pipeline.roll_outs import odds_of_goal, played
 from planner_bridge.planning.solve import solve
 from planner_bridge.tasks.replanning import Limits
 from planner_bridge.tasks.settings import Settings
