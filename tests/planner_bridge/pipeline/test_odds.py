@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from math import sqrt
+from math import prod, sqrt
 from pathlib import Path
 from random import Random
 
 import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
+from numpy.polynomial import Polynomial
 
 from planner_bridge.model.grounding import initial_knowledge
 from planner_bridge.model.plan import Plan
@@ -26,6 +27,7 @@ from planner_bridge.pipeline.odds import (
     KnownRobots,
     Leads,
     Odds,
+    chance_of,
     declared,
     exact,
     learned,
@@ -127,6 +129,19 @@ def test_the_chance_of_200_calls_is_that_of_a_model_checker(tmp_path: Path) -> N
     model = storm.build_model_from_drn(str(file))
     result = storm.model_checking(model, storm.parse_properties('P=? [F "goal"]')[0])
     assert odds_of(*plan).chance == pytest.approx(result.get_value(model.initial_states[0]), abs=1e-9)
+
+
+@given(st.lists(st.integers(0, 4), min_size=1, max_size=8))
+def test_the_chance_of_calls_that_rest_on_one_estimate_is_its_mean_over_what_that_may_be(retries: list[int]) -> None:
+    ends = tuple(AttemptEnd(leads, share, ((1.0, 1.0),)) for leads, share in ((Leads.DONE, 0.6), (Leads.AGAIN, 0.4)))
+    alike = [CallOdds(ActionCall(0, GroundAction("a")), AttemptOdds(ends, "learned", total=5.0), number) for number in retries]
+    done, again = Polynomial([0.0, 1.0]), Polynomial([1.0, -1.0])
+    density = 12.0 * done**2 * again  # of a beta distribution with 3 successes and 2 failures
+    mean = prod((1.0 - again ** (number + 1) for number in retries), start=density).integ()
+    assert chance_of(alike) == pytest.approx(mean(1.0) - mean(0.0), abs=1e-9)
+    assert chance_of([replace(call, attempt=replace(call.attempt, total=1e12)) for call in alike]) == pytest.approx(
+        prod(call.chance() for call in alike), abs=1e-9
+    )
 
 
 def test_what_never_fails_is_certain_and_takes_as_long_as_it_is_long() -> None:
