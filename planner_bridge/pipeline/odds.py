@@ -172,18 +172,19 @@ def chance_of(calls: Iterable[CallOdds], more: Mapping[str, int] = MappingProxyT
     return prod(_together(*estimate, retries) for estimate, retries in alike.items())
 
 
-def _together(_: str, total: float, endings: tuple[tuple[Leads, float], ...], retries: Sequence[int]) -> float:
+def _together(rests: str, total: float, endings: tuple[tuple[Leads, float], ...], retries: Sequence[int]) -> float:
     """Return the chance that calls with so many retries succeed whose attempts end alike: the mean over a Dirichlet distribution.
 
     If k calls succeed after j attempts in all that do not, the chance of that is the mean of done^k again^j, for which there is a formula,
     times the number of ways. Each way has the weight here that it has if the chances are their means.
 
     Args:
-        total: the attempts that the chances were estimated from; 0 if they are known.
+        rests: what the chances rest on; assumed ones are taken as they are.
+        total: the attempts that they were estimated from; 0 if they are known.
     """
     done, again = (sum(chance for leads, chance in endings if leads is kind) for kind in (Leads.DONE, Leads.AGAIN))
     means = prod(_success(done, again, number) for number in retries)
-    if not total or not means:
+    if not total or not means or rests == Basis.ASSUMED.value:
         return means
     ways, k = [1.0], len(retries)
     for number in retries if again else ():

@@ -16,7 +16,7 @@ from planner_bridge.model.grounding import initial_knowledge
 from planner_bridge.model.plan import Plan, PlanningResult, PlanningStatus, Policy
 from planner_bridge.model.problem import Domain, Problem
 from planner_bridge.model.progression import stretch
-from planner_bridge.model.rates import Chance
+from planner_bridge.model.rates import Basis, Chance
 from planner_bridge.model.world import simulated_backend
 from planner_bridge.ordering.plan_to_graph import plan_graph
 from planner_bridge.pipeline.achieve import carry_out
@@ -154,7 +154,8 @@ def in_one_world(attempts: Attempts, random: Random) -> Attempts:
         if (attempt := attempts(action)) is None:
             return None
         if (estimate := attempt.estimate) not in chances:
-            chances[estimate] = as_may_be([ending.chance for ending in attempt.endings], attempt.total, random)
+            total = attempt.total if attempt.rests != Basis.ASSUMED.value else 0.0
+            chances[estimate] = as_may_be([ending.chance for ending in attempt.endings], total, random)
         endings = tuple([replace(ending, chance=chance) for ending, chance in zip(attempt.endings, chances[estimate], strict=True)])
         if (ways := attempt.outcomes) is not None:
             ways = outcomes.setdefault((ways.rests, *ways.weights), ways.drawn(random))

@@ -10,7 +10,6 @@ from random import Random
 import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
-from numpy.polynomial import Polynomial
 
 from planner_bridge.model.grounding import initial_knowledge
 from planner_bridge.model.plan import Plan
@@ -33,7 +32,7 @@ from planner_bridge.pipeline.odds import (
     learned,
     odds_of_calls,
 )
-from planner_bridge.pipeline.roll_outs import odds_of_goal, played
+from planner_bridge.pipeline.roll_outs import in_one_world, odds_of_goal, played
 from planner_bridge.planning.solve import solve
 from planner_bridge.tasks.replanning import Limits
 from planner_bridge.tasks.settings import Settings
@@ -135,13 +134,26 @@ def test_the_chance_of_200_calls_is_that_of_a_model_checker(tmp_path: Path) -> N
 def test_the_chance_of_calls_that_rest_on_one_estimate_is_its_mean_over_what_that_may_be(retries: list[int]) -> None:
     ends = tuple(AttemptEnd(leads, share, ((1.0, 1.0),)) for leads, share in ((Leads.DONE, 0.6), (Leads.AGAIN, 0.4)))
     alike = [CallOdds(ActionCall(0, GroundAction("a")), AttemptOdds(ends, "learned", total=5.0), number) for number in retries]
-    done, again = Polynomial([0.0, 1.0]), Polynomial([1.0, -1.0])
-    density = 12.0 * done**2 * again  # of a beta distribution with 3 successes and 2 failures
-    mean = prod((1.0 - again ** (number + 1) for number in retries), start=density).integ()
-    assert chance_of(alike) == pytest.approx(mean(1.0) - mean(0.0), abs=1e-9)
+    nodes, weights = np.polynomial.legendre.leggauss(64)  # of what is a polynomial, this integral is exact
+    again = (1.0 - nodes) / 2.0
+    density = 6.0 * (1.0 - again) ** 2 * again  # of a beta distribution with 3 successes and 2 failures, on half of the length
+    mean = float(weights @ (density * prod(1.0 - again ** (number + 1) for number in retries)))
+    assert chance_of(alike) == pytest.approx(mean, abs=1e-9)
     assert chance_of([replace(call, attempt=replace(call.attempt, total=1e12)) for call in alike]) == pytest.approx(
         prod(call.chance() for call in alike), abs=1e-9
     )
+
+
+def test_in_one_world_all_that_rests_on_one_estimate_has_the_same_chance() -> None:
+    ends = tuple(AttemptEnd(leads, share, ((1.0, 1.0),)) for leads, share in ((Leads.DONE, 0.6), (Leads.AGAIN, 0.4)))
+
+    def chances(rests: str, number: int) -> set[float]:
+        world = in_one_world(lambda action: AttemptOdds(ends, rests, total=5.0), Random(number))
+        return {found.chance(Leads.DONE) for name in "ab" if (found := world(GroundAction(name)))}
+
+    assert [len(chances("learned", number)) for number in (1, 2)] == [1, 1]
+    assert chances("learned", 1) != chances("learned", 2)
+    assert chances("assumed", 1) == {0.6}
 
 
 def test_what_never_fails_is_certain_and_takes_as_long_as_it_is_long() -> None:
