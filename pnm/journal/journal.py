@@ -150,7 +150,7 @@ _OFTEN: Final = 1 / 7
 """The part of the time for which records are kept after which it is looked what is old, at least once a day."""
 _LONG: Final = 1000
 """Records of a segment after which another one begins as soon as nothing is under way."""
-_LONGER: Final = 1000
+_LONGER: Final = 100
 """Records after which another one begins while tasks go on."""
 _SHARE: Final = 4
 """How much longer a segment is then than what it began with: what is said again is a part of what is written."""
@@ -360,7 +360,7 @@ class WrittenJournal(Journal):
         self._fresh, self._beginning = self._length, self._written
         self._write()
         ongoing.segment = self._file.segment
-        self._drop()
+        self._drop_if_due()
 
     def _begin_segment_if_due(self) -> None:
         """Begin a segment if this one is long, the longer the more goes on; or has records that are old enough to be dropped some day."""
@@ -381,7 +381,10 @@ class WrittenJournal(Journal):
             _log.warning("no segment of the journal begins while this goes on: %s", error)
             self._fresh = self._length
 
-    def _drop(self) -> None:
+    def _drop_if_due(self) -> None:
+        """Drop what is old, unless it was looked for a short while ago."""
+        if self._dropped <= self._wall() < self._dropped + self._period:
+            return
         self._dropped = self._wall()
         try:
             self._file.drop(self._dropped - self._kept, self._dropped - LISTED * self._kept)
@@ -394,8 +397,7 @@ class WrittenJournal(Journal):
         if self._is_lost or self.blocked:
             return
         self._begin_segment_if_due()
-        if not self._dropped <= self._wall() < self._dropped + self._period:
-            self._drop()
+        self._drop_if_due()
 
     def _task_row(self, summary: records.TaskSummary) -> TaskRow:
         accepted, ended = summary.accepted, summary.ended

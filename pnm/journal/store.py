@@ -141,8 +141,8 @@ class JournalFile:
                 self.epoch: Final = self._begin_epoch(wall, home, adopts, log_is_there or not lock, only_free=lease is not None)
                 self._last, self.segment = self._number(tables.LAST), self._number(tables.LAST_SEGMENT)
                 """The last record, and the first one of the segment that goes on."""
-                walls = self._database.read(tables.SEGMENTS)
-                self.segment_wall: Final = walls[-1][1] if walls else wall
+                begun = self._database.read(tables.BEGUN_LAST)
+                self.segment_wall: Final = begun[0][1] if begun else wall
                 """The time of day when the last segment began when the journal was opened."""
                 self._recent: list[_Commit] = []
                 self.standing: tuple[str, ...] = ()
@@ -435,11 +435,14 @@ class KeptJournal:
 
     def last_segment(self) -> int:
         """Return the number of the record with which the last segment begins; 0 if there is none."""
-        return max(self.segments(), default=0)
+        return max(self._segments(tables.BEGUN_LAST), default=0)
 
     def segments(self) -> tuple[int, ...]:
         """Return the numbers of the records with which the segments begin, in order."""
-        rows = self._read(tables.SEGMENTS)
+        return self._segments(tables.SEGMENTS)
+
+    def _segments(self, query: SqlQuery) -> tuple[int, ...]:
+        rows = self._read(query)
         for first, wall, checksum in rows:
             if tables.checksum("", first, wall) != checksum:
                 raise self._damaged(f"the segment of record {first}")

@@ -79,6 +79,7 @@ WHOSE: Final = SqlQuery(f"SELECT epoch, ({LAST.sql}) FROM lease FOR SHARE OF lea
 """The latest epoch, which nobody can end before the transaction does, and the last record."""
 LAST_SEGMENT: Final = SqlQuery("SELECT coalesce(max(first), 0) FROM segments", (int,))
 SEGMENTS: Final = SqlQuery("SELECT first, wall, checksum FROM segments ORDER BY first", (int, float, int))
+BEGUN_LAST: Final = SqlQuery(f"{SEGMENTS.sql} DESC LIMIT 1", SEGMENTS.columns)
 
 # --- what is not kept any more ---
 OLDEST: Final = SqlQuery("SELECT coalesce(min(sequence), 0) FROM records", (int,))

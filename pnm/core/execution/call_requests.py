@@ -21,7 +21,7 @@ from pnm.core.knowledge_base import Layered
 from pnm.core.logic.computed_values import Question
 from pnm.core.logic.conditions import observed
 from pnm.core.logic.effects import Changes, is_fixed, names_written
-from pnm.core.logic.expressions import bind, same_value
+from pnm.core.logic.expressions import Fluent, bind, same_value
 from pnm.core.machine.bindings import Binding, Bindings
 from pnm.core.machine.machine import PetriNetMachine
 from pnm.core.machine.plan_graph import ActionCall, GroundAction
@@ -246,17 +246,22 @@ class Calls(KeptState):
 
     def unreported(self, call: int) -> Changes:
         """Return the changes at the start of the call that sensors report, but have not reported since."""
-        attempt, world = self.attempts[call], self.world
-        awaited = world.reported({fluent: value for fluent, value in attempt.intended.start.items() if isinstance(value, bool | str)})
-        changed = world.changed_since(attempt.begun_after) if awaited and attempt.begun is not None else None
-        if changed is None:  # it has not begun, or anything may have been reported
+        attempt, awaited, world = self.attempts[call], self._awaited(call), self.world
+        changed = world.changed_since(attempt.begun_after) if awaited else None
+        if changed is None:  # nothing is awaited, or anything may have been reported
             return {}
         said = frozenset(changed)
         return {fluent: value for fluent, value in awaited.items() if fluent not in said and not same_value(world.value(fluent), value)}
 
+    def _awaited(self, call: int) -> dict[Fluent, bool | float | str]:
+        """Return the changes at the start of a call that has begun that sensors report."""
+        attempt = self.attempts[call]
+        told = {fluent: value for fluent, value in attempt.intended.start.items() if isinstance(value, bool | str)}
+        return {} if attempt.begun is None else self.world.reported(told)
+
     def asked_since(self, calls: Iterable[int]) -> int:
         """Return the number of changes of the world since which it is asked what was reported of open calls, and of some others."""
-        begun = (self.attempts[call].begun_after for call in (*self.open.values(), *calls) if call in self.attempts)
+        begun = (self.attempts[call].begun_after for call in (*self.open.values(), *calls) if call in self.attempts and self._awaited(call))
         return min(begun, default=self.world.changes)
 
     def go_on_with(self, others: Calls) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
+from functools import reduce
 from typing import Any, Final, NamedTuple, TypeAlias
 from uuid import UUID
 
@@ -20,6 +21,8 @@ _SUSPENDED, _SKIPPED, _CANCELED = CallOutcome.SUSPENDED, CallOutcome.SKIPPED, Ca
 
 REMEMBERED: Final = 500
 """How many results of earlier rounds of a loop are kept."""
+_HANDED_ON: Final = 50
+"""How many of them a run has that goes on in another process."""
 SUCCESS: Final = "success"
 """The expected alternative for a call that ends otherwise."""
 
@@ -225,10 +228,15 @@ class CallResults(KeptState):
         self._causes: dict[int, Explanation] = {}
 
     def values(self) -> dict[str, Any]:
-        """Return the state; of results without what their plan says, and of the ends of requests without what servers had for results."""
+        """Return the state; of results without what their plan says, and of the ends of requests without what servers had for results.
+
+        Of earlier rounds it has the last results, and only the number of requests of the others.
+        """
+        rounds = (*self._rounds,)
         short = {
             "_current": {call: Became.from_result(result, self._plan) for call, result in self._current.items()},
-            "_rounds": tuple([Became.from_result(result, self._plan) for result in self._rounds]),
+            "_rounds": tuple([Became.from_result(result, self._plan) for result in rounds[-_HANDED_ON:]]),
+            "earlier": reduce(Earlier.with_result, rounds[:-_HANDED_ON], self.earlier),
             "_answers": {call: replace(answer, result={}) for call, answer in self._answers.items()},
         }
         return {**super().values(), **short}

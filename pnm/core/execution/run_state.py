@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field
-from heapq import heappop, heappush
+from heapq import heapify, heappop, heappush
 from itertools import compress, count
 from math import inf
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Final
 from uuid import UUID
 
 from pnm.core.execution.call_results import CallResults
@@ -22,6 +22,9 @@ from pnm.core.logic.rules import Rules
 from pnm.core.machine.machine import OnFailure
 from pnm.core.net.block_net import Engine
 from pnm.errors import RunError
+
+_LEFT: Final = 16
+"""How many timers of places that tokens have left are looked at again at most, beside one for each of the others."""
 
 
 class Agenda(KeptState):
@@ -51,9 +54,13 @@ class Agenda(KeptState):
         self._timers: list[tuple[float, int]] = []
         """A queue of the times at which places are asked again."""
         self._set: dict[int, float] = {}
-        """By place, the time set last."""
+        """By undecided place, the earliest of them."""
         self._wake = inf
         """The time that was asked for last."""
+
+    def values(self) -> dict[str, Any]:
+        """Return the state, without the changes that concern nothing in it."""
+        return {**super().values(), "_asked": self.asked()}
 
     def restore(self, values: Mapping[str, Any]) -> None:
         """Take a state back; what is read at undecided places follows from the machine."""
@@ -62,9 +69,12 @@ class Agenda(KeptState):
             if self._index.decision(place).listens:
                 self._readers.add(place, self._reads[place])
 
-    @property
     def asked(self) -> tuple[int, int]:
-        """The number of changes of the world, and of the knowledge of the run, when it was decided last by them."""
+        """Return the number of changes of the world, and of the knowledge of the run, since which some may concern an undecided place."""
+        world, local = self._asked
+        changed = self._world.changed_since(world) if self.listens else ()
+        if changed is not None and not (self.listens and self._local.changes > local) and not (changed and self._readers.concerned(changed)):
+            self._asked = self._world.changes, self._local.changes
         return self._asked
 
     def wait(self, place: int, *, listens: bool) -> None:
@@ -74,7 +84,8 @@ class Agenda(KeptState):
             self._count += 1
             if listens:
                 self._readers.add(place, self._reads[place])
-                if len(self._readers.reads) == 1:
+                if len(self._readers.reads) == 1:  # it was decided just now
+                    self._asked = self._world.changes, self._local.changes
                     self.begins_to_listen()
 
     def wait_until(self, place: int, time: float) -> None:
@@ -85,14 +96,18 @@ class Agenda(KeptState):
 
     def leave(self, place: int) -> None:
         """Do not ask a place again, if it was undecided."""
+        self._set.pop(place, None)
         if self.undecided.pop(place, None) is not None and place in self._readers.reads:
             self._readers.remove(place)
 
     def set_timer(self, place: int, time: float) -> None:
-        """Set the time at which the place is asked again; earlier entries stay, for asking once too often does no harm."""
-        if self._set.get(place) != time:
+        """Set the time at which the place is asked again, if it is not asked earlier: then it is set anew, if need be."""
+        if time < self._set.get(place, inf):
             self._set[place] = time
             heappush(self._timers, (time, place))
+            if len(self._timers) > _LEFT + 2 * len(self._set):  # what was left is no reason to wake, but does no harm
+                self._timers = [entry for entry in self._timers if self._set.get(entry[1]) == entry[0]]
+                heapify(self._timers)
 
     def ask_undecided(self) -> None:
         """Ask all undecided places again."""
@@ -137,8 +152,9 @@ class Agenda(KeptState):
         """Ask the places again whose time has come."""
         self.ask_for_timer_anew()
         while self._timers and self._timers[0][0] <= now:
-            _, place = heappop(self._timers)
-            self._set.pop(place, None)
+            time, place = heappop(self._timers)
+            if self._set.get(place) == time:
+                del self._set[place]
             self.places.append(place)
 
     def ask_for_timer_anew(self) -> None:
@@ -148,7 +164,7 @@ class Agenda(KeptState):
     @property
     def awaits_time(self) -> bool:
         """Whether a place is asked again at some time; timers of places that tokens have left do not count."""
-        return any(place in self.undecided for _, place in self._timers)
+        return bool(self._set)
 
     def next_timer(self) -> float | None:
         """Return the time of a timer that has to be asked for. A later one than the last needs none: after that it is asked for anew."""

@@ -149,7 +149,7 @@ class RunView(KeptState):
     @property
     def asked_since(self) -> tuple[int, int]:
         """The number of changes of the world, and of its own knowledge, since which it may ask what has changed."""
-        world, local = self._agenda.asked
+        world, local = self._agenda.asked()
         return min(world, self._calls.asked_since(call for _, call in self._settling)), local
 
     def _check_adopted(self, adopted: Mapping[int, UnderWay]) -> None:
