@@ -73,7 +73,7 @@ _TRIED: Final = 0.3
 """The same after which, where calls of one action take differently long, the seconds of each are counted instead of the calls."""
 _TOGETHER: Final = 0.3
 """Share of the time for improvement for plans in which calls go on side by side, where these take less time."""
-_PATIENCE: Final = 1.0
+_PATIENCE: Final = 0.5
 """Seconds of processor time of this process, without a plan, after which the first of the other ways of searching joins."""
 _STATUS: Final[Mapping[kairos.Status, PlanningStatus]] = {
     kairos.Status.SOLVED: PlanningStatus.NO_PLAN,  # without a plan, that is none

@@ -24,8 +24,8 @@ from planner_bridge.planning.parts import can_have_parts
 from planner_bridge.planning.validate import InvalidPlan, explained, last_state, validated
 from pnm.core.knowledge_base import KnowledgeBase
 from pnm.core.logic.conditions import TOLERANCE, Condition, Holds, Not, conjuncts, evaluate, fluents, names
-from pnm.core.logic.effects import choices_in_effects, possible_assignments
-from pnm.core.logic.expressions import Constant, Fluent, Unknown, Value, ValueOf, value_of
+from pnm.core.logic.effects import When, choices_in_effects, decided, names_written, possible_assignments
+from pnm.core.logic.expressions import EXISTS, Constant, Fluent, Unknown, Value, ValueOf, value_of
 from pnm.core.machine.plan_graph import ActionCall, GroundAction, Moment, PlanEvent, PlanGraphError
 from pnm.errors import InputError, check_kinds, check_seconds, counted
 
@@ -254,7 +254,8 @@ def reduced(
     if problem.metric is not None:
         plan = replace(plan, cost=cost_of(problem, plan))
     shorter, work = plan, WORK
-    while len((less := (elimination := _Elimination(problem, shorter, work)).without_needless(until)).steps) < len(shorter.steps):
+    actions = dict(zip(plan.steps, with_lasting_facts(problem, [call.action for call in calls_of(problem, plan)]), strict=True))
+    while len((less := (elimination := _Elimination(problem, shorter, actions, work)).without_needless(until)).steps) < len(shorter.steps):
         shorter, work = less, elimination.work  # without a call another one may be needless that was not before
     is_shorter = len(shorter.steps) < len(plan.steps)
     if is_shorter and validate(problem, shorter, parsed):
@@ -264,6 +265,21 @@ def reduced(
 
         shorter = replace(shorter, seconds=robot_time(problem, shorter, rates))
     return replace(result, plan=shorter)
+
+
+def with_lasting_facts(problem: Problem, actions: Sequence[GroundAction]) -> list[GroundAction]:
+    """Return the actions with those conditions of their effects decided that none of them changes, nor anything by itself."""
+    changing = {fluent[0] for change in problem.timed for fluent in change.changes}
+    changing = changing.union(*(names_written((*action.start_effects, *action.end_effects)) for action in actions))
+    state, rules = initial_knowledge(problem), problem.domain.rules
+
+    def lasts(effect: When) -> bool:
+        return changing.isdisjoint(rules.base(names(effect.condition)))
+
+    if EXISTS in changing:  # then there are more objects later
+        return [*actions]
+    both = [(decided(action.start_effects, state, lasts), decided(action.end_effects, state, lasts)) for action in actions]
+    return [replace(action, start_effects=start, end_effects=end) for action, (start, end) in zip(actions, both, strict=True)]
 
 
 def indispensable(problem: Problem, actions: Sequence[GroundAction]) -> frozenset[int]:
@@ -307,10 +323,10 @@ class _Elimination:
     The mutable state is the plan, the numbers of the steps that were left out, and the work that is left.
     """
 
-    def __init__(self, problem: Problem, plan: Plan, work: int) -> None:
+    def __init__(self, problem: Problem, plan: Plan, actions: Mapping[PlanStep, GroundAction], work: int) -> None:
         self._problem = problem
         self._first = plan
-        self._actions = [call.action for call in calls_of(problem, plan)]
+        self._actions = [actions[step] for step in plan.steps]
         effects = ((*action.start_effects, *action.end_effects) for action in self._actions)
         self._work = [1 + choices_in_effects(both, problem.count) // _CHOICES for both in effects]
         self._happenings = happenings(problem, plan)

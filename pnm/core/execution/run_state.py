@@ -71,9 +71,8 @@ class Agenda(KeptState):
 
     def asked(self) -> tuple[int, int]:
         """Return the number of changes of the world, and of the knowledge of the run, since which some may concern an undecided place."""
-        world, local = self._asked
-        changed = self._world.changed_since(world) if self.listens else ()
-        if changed is not None and not (self.listens and self._local.changes > local) and not (changed and self._readers.concerned(changed)):
+        world, local = self._world.changed_since(self._asked[0]), self._local.changes - self._asked[1]
+        if not self.listens or (world is not None and not local and not (world and self._readers.concerned(world))):
             self._asked = self._world.changes, self._local.changes
         return self._asked
 

@@ -228,28 +228,30 @@ def expanded(
                 assert_never(effect)
 
 
-def decided(effects: Effects, state: State) -> Effects:
-    """Return the end effects of an action that starts in the state, with their early conditions decided."""
-    if not any(map(is_early, effects)):
+def decided(effects: Effects, state: State, is_due: Callable[[When], bool] = operator.attrgetter("early")) -> Effects:
+    """Return the effects with those conditions decided that are due: of the end of an action that starts in the state, the early ones."""
+    if not any(is_due(part) for part in every_effect(effects) if isinstance(part, When)):
         return effects
-    result: list[Effect] = []
+    return tuple(_decided(effects, state, is_due, NOTHING))
+
+
+def _decided(effects: Effects, state: State, is_due: Callable[[When], bool], env: Environment) -> Iterator[Effect]:
     for effect in effects:
         match effect:
             case Set():
-                result.append(effect)
+                yield from ground_effects((effect,), env)
             case When(condition, inner, early):
-                if not early:
-                    result.append(When(condition, decided(inner, state)))
-                elif evaluate(condition, state) is True:
-                    result.extend(decided(inner, state))
+                if not is_due(effect):
+                    yield When(ground(condition, env), tuple(_decided(inner, state, is_due, env)), early)
+                elif evaluate(condition, state, env) is True:
+                    yield from _decided(inner, state, is_due, env)
             case ForEach(variables, inner):
-                for chosen in choices(variables, state, NOTHING):
-                    result.extend(decided(ground_effects(inner, chosen), state))
+                for chosen in choices(variables, state, env):
+                    yield from _decided(inner, state, is_due, chosen)
             case OneOf(alternatives):
-                result.append(OneOf(tuple([replace(way, effects=decided(way.effects, state)) for way in alternatives])))
+                yield OneOf(tuple([replace(way, effects=tuple(_decided(way.effects, state, is_due, env))) for way in alternatives]))
             case _:
                 assert_never(effect)
-    return tuple(result)
 
 
 def is_early(effect: Effect) -> bool:

@@ -161,7 +161,7 @@ async def test_a_loop_is_taken_up_as_fast_however_long_it_has_gone_on(tmp_path: 
         journal.close()
         again = replayed(tmp_path / f"{calls}", TASKS)
         assert again.runs[run.id].run.marking == run.marking
-        assert again.runs[run.id].run.interim_result().earlier.attempts + len(run.results) == calls + 1
+        assert again.runs[run.id].run.interim_result().earlier.attempts + len(again.runs[run.id].run.results) == calls + 1
         with closing(KeptJournal(tmp_path / f"{calls}")) as kept:
             lengths.append(sum(len(row.text) for _, row in kept.rows(kept.last_segment() - 1)))
     assert lengths[1] < 2 * lengths[0]
