@@ -80,8 +80,8 @@ class TimeLimit:
         self._count()
 
     def close(self) -> None:
-        """Stop the clock for good."""
-        self.note = lambda _: None
+        """Stop the clock for good, and forget whom it has told."""
+        self.note, self._over = lambda _: None, lambda _: None
         self._stop()
         self._has_begun = False
 

@@ -201,6 +201,7 @@ class Executor:
             # Reports that came with the last event would be lost, and with them the resources that their requests keep.
             while not self._inbox.empty():
                 self._heard_late(self._inbox.get_nowait())
+            self.run.observer = events.SILENT  # who observes it holds this executor
         return self.run.result()
 
     def _hear(self, report: Report) -> None:
@@ -234,7 +235,7 @@ class Executor:
             elif not run.listens:  # nor does it hear of other changes until it does: most runs of many wait for no facts
                 self._stop_hearing()
 
-        self._leaving = [run.resources.listen(partial(self._put_once, events.ResourcesChanged()), run.task)]
+        self._leaving = [run.resources.listen(partial(self._put_once, events.ResourcesChanged()), run.task), run.forget_listeners]
         run.when_it_listens(hear)
 
     def _leave(self, asked: Collection[UUID] = ()) -> None:

@@ -213,6 +213,11 @@ class TaskControl:
         """Be paused from the beginning, as in a process that has died; `pause` follows."""
         self._is_unpaused.clear()
 
+    def end(self) -> None:
+        """Be over for good: whoever waits for that goes on, and nobody is told of anything more."""
+        self.over.set()
+        self._observer, self._time_limit, self.reserved = TaskObserver(), None, None
+
     def conclude(self, reason: str) -> None:
         """Be over from the beginning, as in a process that has died: its listeners have heard of it there."""
         self.state, self.reason = TaskState.OVER, reason
@@ -347,7 +352,8 @@ class Watchdog:
             self._look_at(self._last + STILL)
 
     def close(self) -> None:
-        """Look no more."""
+        """Look no more, and forget the task."""
+        self._end = lambda: None
         if self._timer is not None:
             self._timer.cancel()
 

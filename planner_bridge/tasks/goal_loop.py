@@ -155,7 +155,7 @@ class GoalLoop:
             reason = join_reasons(self._log.last_failure, why, *silent, unfulfilled, withheld)
             return TaskEnded(code_of_planning(no_plan.status, self._log.failures), reason, can_be_helped=True)
         except TaskEnded as error:
-            return error
+            return error.with_traceback(None)  # which would keep all that is known here
         except (PlanGraphError, Unsound) as error:  # a plan that is valid, but not by causes alone
             return TaskEnded(Code.PLANNER_ERROR, f"the plan cannot be executed: {error}")
 

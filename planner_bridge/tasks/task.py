@@ -267,7 +267,8 @@ class Task(TaskObserver):
         if self.watchdog:
             self.watchdog.close()
         self.listener.ended(self.id, self.ending)
-        self.control.over.set()
+        self.control.end()
+        self.observer, self.start = TaskObserver(), None  # these refer to the task
 
     def planned(self, plan: Plan) -> None:
         """Note that a plan was found."""

@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Final, TypeAlias
 from uuid import UUID
+from weakref import ref
 
 from pnm.clock import TimeUsed
 from pnm.core.execution.call_results import Became, RunResult, Told
@@ -313,10 +314,12 @@ def knowledge_now(number: int, base: KnowledgeBase, since: int | None = None) ->
 
 def follow(number: int, base: KnowledgeBase, changed: Callable[[KnowledgeDelta], None]) -> KnowledgeBegan:
     """Return the content of a knowledge base now, and have a function called with every later change."""
-    before, sensed_before = base.variables(), base.sensed_names()
+    before, sensed_before, known = base.variables(), base.sensed_names(), ref(base)  # which has this listener
 
     def note(facts: Mapping[Fluent, Value | Unknown]) -> None:
         nonlocal before, sensed_before
+        if (base := known()) is None:
+            return
         if facts:
             changed(KnowledgeDelta(number, dict(facts), unknown=base.told_why))
             return

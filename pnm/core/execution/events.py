@@ -253,10 +253,11 @@ def broadcast(kind: type[L], listeners: Sequence[L]) -> L:
     listener: L = _broadcaster(cast("Hashable", kind))()
     listener.__dict__["listeners"] = listeners
     if isinstance(listeners, tuple):  # a moment that one of them hears at most needs nobody who passes it on
+        nobody = kind()
         for moment, empty in _moments(kind).items():
             heard = [hear for hear in (getattr(one, moment) for one in listeners) if getattr(hear, "__func__", None) is not empty]
             if len(heard) < 2:
-                listener.__dict__[moment] = heard[0] if heard else empty.__get__(listener)
+                listener.__dict__[moment] = heard[0] if heard else empty.__get__(nobody)
     return listener
 
 

@@ -10,14 +10,14 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property, partial
 from typing import Final
-from weakref import WeakKeyDictionary
+from weakref import WeakKeyDictionary, proxy
 
 from pnm.core.execution.call_data import ClosedCall, closed_call, reads_of_guard
 from pnm.core.logic.compiled import CompiledCondition, compiled
 from pnm.core.logic.expressions import Fluent
 from pnm.core.logic.rules import Reads, Rules
 from pnm.core.machine.guards import Accepts, After, Always, Due, Ends, Guard, Opener, Rule
-from pnm.core.machine.machine import OnFailure, PetriNetMachine, PlacedStep
+from pnm.core.machine.machine import MachineBlocks, OnFailure, PetriNetMachine, PlacedStep
 from pnm.core.machine.requests import CallOutcome, OutcomeKind, TransitionAction
 from pnm.core.machine.step_block import OWN, BlockTemplate
 from pnm.core.net.block_net import NumberedArcs, Placed, WhenAsked
@@ -101,13 +101,14 @@ class Shape:
     """
 
     def __init__(self, index: MachineIndex, block: PlacedStep, call: int) -> None:
-        self._index, self._block, self._call = index, block, call
+        self._index: MachineIndex = proxy(index)  # which has this shape
+        self._block, self._call = block, call
         # worked out so far
-        self.firings: Final = WhenAsked(self._firing)
+        self.firings: Final = WhenAsked(self, Shape._firing)
         """The transitions, by number within the block."""
-        self.decisions: Final = WhenAsked(self._decision)
+        self.decisions: Final = WhenAsked(self, Shape._decision)
         """The decisions at places, by their codes."""
-        self.opened: Final = WhenAsked(self._opened)
+        self.opened: Final = WhenAsked(self, Shape._opened)
         """The transitions of the call that the end of its request in a way opens, or its acceptance."""
 
     def _firing(self, number: int) -> Firing:
@@ -224,17 +225,19 @@ class MachineIndex:
                 for place in site.ports[~code]:
                     self.sites[place], self.codes[place] = site, code
         # worked out so far
-        self.rules: Final = WhenAsked(blocks.rule)
+        self.rules: Final = WhenAsked(blocks, MachineBlocks.rule)
         """The rules of transitions."""
-        self.conditions: Final = WhenAsked(self._condition)
+        self.conditions: Final = WhenAsked(self, MachineIndex._condition)
         """The conditions that guards of transitions ask for, where they are the same for every run."""
-        self.guards: Final[WhenAsked[int, Guard]] = WhenAsked(self._guard)
+        self.guards: Final[WhenAsked[int, Guard]] = WhenAsked(self, MachineIndex._guard)
         """The guards of transitions."""
-        self.since: Final = WhenAsked(self._since)
+        self.since: Final = WhenAsked(self, MachineIndex._since)
         """The places from whose marking guards of transitions count, and the seconds."""
-        self.reads: Final[dict[Rules, WhenAsked[int, Reads]]] = WhenAsked(lambda rules: WhenAsked(partial(self._reads_at, rules)))
+        self.reads: Final[dict[Rules, WhenAsked[int, Reads]]] = WhenAsked(
+            self, lambda index, rules: WhenAsked(index, partial(MachineIndex._reads_at, rules=rules))
+        )
         """The knowledge that decisions at places of a run read, by the rules of its world."""
-        self.closed: Final[WhenAsked[int, ClosedCall | None]] = WhenAsked(lambda call: closed_call(self._calls[call]))
+        self.closed: Final[WhenAsked[int, ClosedCall | None]] = WhenAsked(self, lambda index, call: closed_call(index._calls[call]))
         """The parts of calls that do not depend on knowledge."""
 
     def is_call(self, step: int | None) -> bool:
@@ -256,7 +259,7 @@ class MachineIndex:
 
     # --- what each block has for itself -------------------------------------------------------
 
-    def _reads_at(self, rules: Rules, place: int) -> Reads:
+    def _reads_at(self, place: int, rules: Rules) -> Reads:
         site, read = self.sites[place], set[Fluent | str]()
         for firing in self.decision(place).firings:
             call = firing.call if site.call is None else site.call

@@ -217,6 +217,10 @@ class RunView(KeptState):
         if self.listens:
             hear()
 
+    def forget_listeners(self) -> None:
+        """Call nobody any more when it begins to listen."""
+        self._agenda.begins_to_listen = lambda: None
+
     def hears_of(self, changed: Collection[Fluent]) -> bool:
         """Return whether a decision is pending that may be another one when these facts have changed; without any, variables have."""
         return self._agenda.hears_of(changed)

@@ -9,9 +9,11 @@ from __future__ import annotations
 from bisect import bisect_right
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
+from operator import attrgetter
 from types import MappingProxyType
-from typing import Any, Final, Generic, Protocol, Self, TypeAlias, TypeVar
+from typing import Any, Final, Generic, Protocol, Self, TypeAlias, TypeVar, cast
+from weakref import ref
 
 from pnm.core.net.net import Marking, PetriNet
 from pnm.errors import NotEnabled
@@ -163,18 +165,18 @@ class BlockNet(Generic[AnyPlaced]):
         self._first_places: list[int] = []
         self.count_places = self.count_transitions = 0
         # worked out so far
-        self.inputs: Final[WhenAsked[int, NumberedArcs]] = WhenAsked(lambda one: self._arcs(one, lambda template: template.inputs))
+        self.inputs: Final[WhenAsked[int, NumberedArcs]] = WhenAsked(self, partial(BlockNet._arcs, of=attrgetter("inputs")))
         """For every transition, the places that it takes from, and how much of each."""
-        self.outputs: Final[WhenAsked[int, NumberedArcs]] = WhenAsked(lambda one: self._arcs(one, lambda template: template.outputs))
+        self.outputs: Final[WhenAsked[int, NumberedArcs]] = WhenAsked(self, partial(BlockNet._arcs, of=attrgetter("outputs")))
         """The places that it gives to, and how much to each."""
         self.only_input: Final[WhenAsked[int, int | None]] = WhenAsked(
-            lambda one: self.inputs[one][0][0] if self.inputs[one] and not self.unmarked[one] else None
+            self, lambda net, one: net.inputs[one][0][0] if net.inputs[one] and not net.unmarked[one] else None
         )
         """For every transition that takes one token from one place, that place."""
-        self.consumers: Final = WhenAsked(self._consumers)
+        self.consumers: Final = WhenAsked(self, BlockNet._consumers)
         """For every place, the transitions that take from it, in their order, and how much each does."""
         self.joins: Final[WhenAsked[int, NumberedArcs]] = WhenAsked(
-            lambda place: [(one, weight) for one, weight in self.consumers[place] if self.unmarked[one]]
+            self, lambda net, place: [(one, weight) for one, weight in net.consumers[place] if net.unmarked[one]]
         )
         """Those of them that take more than one token."""
 
@@ -354,17 +356,18 @@ class Engine:
 
 K = TypeVar("K")
 V = TypeVar("V")
+Owner = TypeVar("Owner")
 
 
 class WhenAsked(dict[K, V]):
-    """Values that are made when they are first asked for, and kept."""
+    """Values that their owner makes when they are first asked for, and keeps; they do not keep the owner."""
 
-    def __init__(self, make: Callable[[K], V]) -> None:
+    def __init__(self, owner: Owner, make: Callable[[Owner, K], V]) -> None:
         super().__init__()
-        self._make = make
+        self._owner, self._make = ref(owner), cast(Callable[[object, K], V], make)
 
     def __missing__(self, key: K) -> V:
-        value = self[key] = self._make(key)
+        value = self[key] = self._make(self._owner(), key)
         return value
 
 

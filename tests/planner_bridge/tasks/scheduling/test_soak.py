@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import gc
 from collections import Counter
 from pathlib import Path
 
@@ -30,3 +31,22 @@ def test_a_task_that_is_over_leaves_nothing_behind(tmp_path: Path, monkeypatch: 
         raise AssertionError
 
     assert asyncio.run(soak()) == Counter()
+
+
+@pytest.mark.parametrize("is_kept", [False, True], ids=["", "with a journal"])
+def test_a_task_that_is_over_is_let_go_at_once(tmp_path: Path, is_kept: bool) -> None:
+    """Nothing of it refers to itself: garbage is looked for seldom while robots work."""
+
+    async def soak() -> int:
+        async for number in tasks_in_a_row(tmp_path / "journal" if is_kept else None):
+            if number == FIRST:
+                gc.collect()
+                gc.disable()
+            if number == FIRST + MORE:
+                return gc.collect()
+        raise AssertionError
+
+    try:
+        assert asyncio.run(soak()) < MORE
+    finally:
+        gc.enable()
