@@ -11,6 +11,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import chain
+from math import inf
 from typing import Final, Generic, TypeVar
 
 from planner_bridge.model.grounding import initial_knowledge
@@ -248,16 +249,23 @@ class Forecast:
 
     Args:
         needed: what the rest of it reads and writes.
-        released: for these fluents, the seconds from now after which it is done with them; nothing is known about others.
+        released: for these fluents, the time at which it is done with them; nothing is known about others.
         values: what it leaves behind in them.
+        until: the time after which it is another one though no call has begun or ended: then a call is late.
     """
 
     needed: ReadWriteSets
     released: Mapping[Fluent, float] = field(default_factory=dict)
     values: Mapping[Fluent, Value] = field(default_factory=dict)
+    until: float = -inf
+
+    @cached_property
+    def first(self) -> float:
+        """The time at which it is done with something."""
+        return min(self.released.values(), default=inf)
 
 
-def forecast(plan: PlanGraph, events: Sequence[PlanEvent], left: Mapping[int, float], state: KnowledgeBase) -> Forecast:
+def forecast(plan: PlanGraph, events: Sequence[PlanEvent], left: Mapping[int, float], state: KnowledgeBase, now: float = 0.0) -> Forecast:
     """Return the forecast of a plan from its events to come, in an order it allows, and the seconds left of calls under way."""
     # A call that was under way when its machine was made may have to begin anew since.
     calls = [replace(plan.calls[number], under_way=number in left) for number in dict.fromkeys(event.call for event in events)]
@@ -269,36 +277,57 @@ def forecast(plan: PlanGraph, events: Sequence[PlanEvent], left: Mapping[int, fl
     times: dict[PlanEvent, float] = {}
     for event in events:
         action = plan.calls[event.call].action
-        time = max((times.get(ordering.before, 0.0) + ordering.delay for ordering in before.get(event, ())), default=0.0)
+        time = max((times.get(ordering.before, now) + ordering.delay for ordering in before.get(event, ())), default=now)
         if event.moment is Moment.END:
-            began = times.get(PlanEvent(event.call, Moment.START), 0.0)
-            time = max(time, left[event.call] if event.call in left else began + (action.duration or 0.0))
+            began = times.get(PlanEvent(event.call, Moment.START), now)
+            time = max(time, now + left[event.call] if event.call in left else began + (action.duration or 0.0))
         times[event] = time
         try:
             simulation.advance([(event, action)])
         except NotApplicable:
             return Forecast(needed)  # the plan will have to be replaced
-    released = dict.fromkeys(_read(read_write_sets((), plan.goal, state)), max(times.values(), default=0.0))
+    released = dict.fromkeys(_read(read_write_sets((), plan.goal, state)), max(times.values(), default=now))
     for call in calls:
         used = read_write_sets([call], TRUE, state)
         for fluent in _read(used) | used.writes.keys():
-            released[fluent] = max(released.get(fluent, 0.0), times[PlanEvent(call.index, Moment.END)])
+            released[fluent] = max(released.get(fluent, now), times[PlanEvent(call.index, Moment.END)])
     values = {fluent: simulation.state.value(fluent) for fluent in needed.writes}
     known = {fluent: value for fluent, value in values.items() if value is not None and not isinstance(value, Unknown)}
-    return Forecast(needed, released, known)
+    return Forecast(needed, released, known, now + min(left.values(), default=0.0))
 
 
-def with_forecasts(problem: Problem, forecasts: Iterable[Forecast]) -> Problem:
+def with_forecasts(problem: Problem, forecasts: Sequence[Forecast], now: float = 0.0) -> Problem:
     """Return a problem in which what other plans need is not to be had before they are expected to be done with it."""
-    changes: list[TimedChange] = []
+    released, kept, changes = dict[Fluent, float](), set[Fluent](), list[TimedChange]()
     for other in forecasts:
-        problem = avoid_interference(problem, [other.needed], other.released)
-        changes += [TimedChange(max(other.released[fluent], SOON), {fluent: value}) for fluent, value in other.values.items()]
+        for fluent in other.needed.facts:
+            released[fluent] = max(released.get(fluent, 0.0), other.released.get(fluent, now) - now)
+        kept |= other.needed.facts.keys() - other.released.keys()
+        changes += [TimedChange(max(other.released[fluent] - now, SOON), {fluent: value}) for fluent, value in other.values.items()]
+    problem = avoid_interference(
+        problem,
+        [_united([other.needed for other in forecasts])],
+        {fluent: time for fluent, time in released.items() if fluent not in kept},
+    )
     return replace(problem, timed=tuple(sorted((*problem.timed, *changes), key=lambda change: change.time)))
 
 
+def _united(sets: Iterable[ReadWriteSets]) -> ReadWriteSets:
+    """Return what several plans read and write together: one guard for all of them is enough."""
+    facts, writes, reads = dict[Fluent, frozenset[bool]](), dict[Fluent, frozenset[bool | None]](), set[Fluent]()
+    for one in sets:
+        reads |= one.reads
+        for fluent, values in one.facts.items():
+            facts[fluent] = facts[fluent] | values if fluent in facts else values
+        for fluent, given in one.writes.items():
+            writes[fluent] = writes[fluent] | given if fluent in writes else given
+    return ReadWriteSets(facts, frozenset(reads), writes)
+
+
 def awaited(mine: ReadWriteSets, other: Forecast) -> tuple[Fluent, float] | None:
-    """Return the fluents that a plan has to wait for because another one changes or reads them, with the seconds; None for nothing."""
+    """Return the fluents that a plan has to wait for because another one changes or reads them, with the time; None for nothing."""
+    if mine.is_clear_of(other.needed):
+        return None
     shared = (_read(mine) & other.needed.writes.keys()) | (_read(other.needed) & mine.writes.keys())
     last = max(shared & other.released.keys(), key=lambda fluent: (other.released[fluent], fluent), default=None)
     return None if last is None else (last, other.released[last])

@@ -163,7 +163,7 @@ class Preemption(TaskListener):
     """Finds the tasks that are in conflict with each other, and pauses and resumes those of lower priority.
 
     The mutable state is which tasks are being paused, whether one looks for a better plan, and what is known of the tasks without a look
-    at all of them: an index of their plans, their running calls, and those of which it may be something else by now.
+    at all of them: an index of their plans, their running calls, their forecasts, and those of which it may be something else by now.
 
     Args:
         tasks: all that are not over.
@@ -181,6 +181,7 @@ class Preemption(TaskListener):
         """Those of other processes; another one has to be there before the first task."""
         self._plans: FootprintIndex[Task] = FootprintIndex()
         self._running: dict[Task, tuple[ActionCall, ...]] = {}
+        self._forecasts: dict[Task, Forecast] = {}
         self._moved: set[UUID] = set()
 
     # --- conflicts ------------------------------------------------------------------------------
@@ -208,8 +209,15 @@ class Preemption(TaskListener):
 
     def forecasts(self, task: Task) -> Mapping[Task, Forecast]:
         """Return the forecasts of the plans of other active tasks that do not yield to this one."""
-        ahead = [other for other in self._others(task, self._tasks.values()) if not other.yields_to(task)]
-        return {other: expected for other in ahead if (expected := other.control.forecast) is not None}
+        self._look()
+        now, found = asyncio.get_running_loop().time(), dict[Task, Forecast]()
+        for other in (other for other in self._others(task, self._tasks.values()) if not other.yields_to(task)):
+            known = self._forecasts.get(other)
+            if known is None or known.until <= now:
+                known = other.control.forecast
+            if known is not None:
+                found[other] = self._forecasts[other] = known
+        return found
 
     def runs(self) -> Iterator[Run]:
         """Yield the current runs of all tasks."""
@@ -241,6 +249,7 @@ class Preemption(TaskListener):
             else:
                 self._plans.forget(task)
             self._running.pop(task, None)
+            self._forecasts.pop(task, None)
             if run is not None and (calls := run.unsettled):
                 self._running[task] = calls
             if run is not None and run.settling:  # which may be over without a firing
@@ -304,6 +313,7 @@ class Preemption(TaskListener):
         """Return the opponents of a task that is over; they make way for it no longer, which `update` shows."""
         self._plans.forget(task)
         self._running.pop(task, None)
+        self._forecasts.pop(task, None)
         opponents = task.preempted_by | task.preempts
         for other in opponents:
             other.preempted_by.discard(task)
@@ -312,6 +322,7 @@ class Preemption(TaskListener):
 
     def changed(self, task: UUID) -> None:
         """Decide again which tasks go on: this one may have ceased to, or have begun again."""
+        self._moved.add(task)
         changed = self._tasks.get(task)
         if changed and (changed.control.is_paused or changed.preempted_by or changed.preempts):
             self.update([changed])

@@ -146,7 +146,7 @@ class PlanExecution(Observer):
         """The time at which the plan is expected to be done with its needs."""
         progress = self.progress
         left = self.left(progress, lambda action: action.duration or 0.0)
-        return forecast(progress.plan, progress.events, left, self._context.world)
+        return forecast(progress.plan, progress.events, left, self._context.world, asyncio.get_running_loop().time())
 
     def left(self, progress: Progress, lasts: Callable[[GroundAction], float]) -> dict[int, float]:
         """Return the seconds that calls under way still take, by number; a late call as long again as it is late."""

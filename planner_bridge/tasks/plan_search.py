@@ -430,10 +430,10 @@ class PlanSearch:
 
         The planner has a share of its time: all of it where there is no plan but one that waits.
         """
-        releases = (time for forecast in forecasts.values() for time in forecast.released.values())
-        if min(releases, default=inf) >= latest:
+        at = asyncio.get_running_loop().time()
+        if min((forecast.first for forecast in forecasts.values()), default=inf) - at >= latest:
             return ()
-        expected = with_forecasts(now, forecasts.values())
+        expected = await in_own_thread(partial(with_forecasts, now, [*forecasts.values()], at))  # all of them take a while
         try:
             result = await self._solve(expected, share)
         except InputError:  # of a planner that knows no facts that change by themselves
@@ -443,8 +443,8 @@ class PlanSearch:
         needed, conflicts = read_write_sets(calls_of(expected, result.plan), now.goal, initial_knowledge(expected)), list[Conflict]()
         for task, forecast in forecasts.items():
             if needs := awaited(needed, forecast):
-                why = f"it is expected to be done with {fluent_text(needs[0])} in {needs[1]:.0f} s"
-                conflicts.append(Conflict(task.id, task.name, forecast.needed, why, until=needs[1]))
+                why = f"it is expected to be done with {fluent_text(needs[0])} in {needs[1] - at:.0f} s"
+                conflicts.append(Conflict(task.id, task.name, forecast.needed, why, until=needs[1] - at))
         return tuple(conflicts)
 
     async def _around(

@@ -148,7 +148,7 @@ class Task(TaskObserver):
 
     def yields_to(self, other: Task) -> bool:
         """Return whether it can be preempted for another one, and ranks lower."""
-        return self.is_active and self.wanted.priority < other.wanted.priority
+        return self.wanted.priority < other.wanted.priority and self.is_active
 
     @property
     def wants_to_go_on(self) -> bool:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import shutil
 from collections import Counter
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +17,7 @@ from pnm.errors import PnmError
 from pnm.journal.codec import Undecodable
 from pnm.journal.replay import Replay
 from pnm.journal.resume import replay_steps, replayed
-from pnm.journal.store import JournalError
+from pnm.journal.store import JournalError, KeptJournal
 from pnm.tasks import Code
 from tests.support.e2e.command_line import pnm
 from tests.support.files import written
@@ -92,16 +93,18 @@ def test_the_lines_of_a_run_do_not_grow_with_it(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "error", "reason"),
     [
-        ('{"@": "Stranger"}', Undecodable, "cannot be read behind record 4: there is no Stranger in this version"),
-        ("[", Undecodable, r"cannot be read behind record 4: not a value of this version: \["),
-        ("null", JournalError, "is damaged behind record 4: the next records do not fit those before"),
+        ('{"@": "Stranger"}', Undecodable, "cannot be read behind record {}: there is no Stranger in this version"),
+        ("[", Undecodable, r"cannot be read behind record {}: not a value of this version: \["),
+        ("null", JournalError, "is damaged behind record {}: the next records do not fit those before"),
     ],
 )
 def test_a_record_that_cannot_be_replayed_is_named_with_its_place(
     text: str, error: type[PnmError], reason: str, scenario: tuple[Path, Counter[Code]], tmp_path: Path
 ) -> None:
     path = Path(shutil.copy(scenario[0], tmp_path / "journal"))
+    with closing(KeptJournal(path)) as kept:
+        number = kept.last_segment() + 4
     with forged(path) as file:
-        file.execute("UPDATE records SET text = ? WHERE sequence = 5", (text,))
-    with pytest.raises(error, match=f"the journal {path} {reason}"):
+        file.execute("UPDATE records SET text = ? WHERE sequence = ?", (text, number))
+    with pytest.raises(error, match=f"the journal {path} {reason.format(number - 1)}"):
         replayed(path, TASKS)

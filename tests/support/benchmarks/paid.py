@@ -46,6 +46,7 @@ PAID: Final = (
     Paid("a report of one fact, in a world of so many", "report", (100, 100_000), "µs", 5.0),
     Paid("what rules derive in a grid of so many places, after a change", "ways", (50, 200), "µs", 1_000.0),
     Paid("from a goal to its first request, of so many tasks at once", "tasks-begin", (10, 500), "µs", 9_000.0, is_each=True),
+    Paid("the same where actions have durations", "tasks-begin-timed", (10, 100), "µs", 9_000.0, is_each=True),
     Paid("from the end of a call to the next request, among so many tasks", "tasks-next", (10, 500), "µs", 600.0),
     Paid("a call of a plan by hand, of so many: read, proved, carried out", "written", (100, 1_000), "µs", 300.0, is_each=True),
     Paid("a call of a task, of so many", "task-call", (100, 1_000), "µs", 50.0, is_each=True),

@@ -34,6 +34,7 @@ GATE: Final = (
     ("ways-first", 200),
     ("resource", 100),
     ("tasks-begin", 500),
+    ("tasks-begin-timed", 100),
     ("tasks-next", 500),
     ("taken-up", 10_000),
     ("task-call", 100),

@@ -14,8 +14,9 @@ from tempfile import TemporaryDirectory
 from uuid import UUID
 
 from planner_bridge.model.grounding import initial_knowledge
-from planner_bridge.model.plan import Plan, PlanningResult, PlanningStatus, PlanStep
+from planner_bridge.model.plan import GAP, Plan, PlanningResult, PlanningStatus, PlanStep
 from planner_bridge.model.problem import Problem
+from planner_bridge.planning.normal_form import with_durations
 from planner_bridge.tasks.result import TASKS, Stopwatch
 from planner_bridge.tasks.settings import Memory, Settings, TaskObserver
 from planner_bridge.tasks.task_manager import TaskLimits, TaskManager
@@ -38,6 +39,8 @@ _ROBOTS = 500
 _PLACES = 8
 _LONG = Bindings({"move": Binding(timeout=3_600.0)})
 """Calls wait until all have begun: at the limit that they have otherwise, a minute, their tasks would plan anew."""
+_SECONDS = 600.0
+"""The duration of actions, where they have one."""
 _ENDS = 15
 """Calls that end one after the other."""
 _FIRST = 500
@@ -51,7 +54,9 @@ class _OnceRound(Memory):
         assert isinstance(problem.goal, Holds)
         robot = problem.goal.fluent[1]
         places = [f"a{(int(robot[1:]) + number) % _PLACES}" for number in range(4)]
-        return PlanningResult(PlanningStatus.SOLVED, Plan(tuple(PlanStep("move", (robot, *way)) for way in pairwise(places))))
+        lasts = _SECONDS if problem.is_timed else 0.0
+        steps = [PlanStep("move", (robot, *way), number * (lasts + GAP), lasts) for number, way in enumerate(pairwise(places))]
+        return PlanningResult(PlanningStatus.SOLVED, Plan(tuple(steps), temporal=problem.is_timed))
 
 
 class _Waiting:
@@ -73,9 +78,11 @@ class _Waiting:
         """Ignore it."""
 
 
-async def _at_once(count: int, which: int) -> float:
+async def _at_once(count: int, which: int, *, is_timed: bool = False) -> float:
     """Return the seconds of the loop from a goal to its first request, or from the end of a call to the next request."""
     problem, client = fleet(robots=_ROBOTS, parcels=1, places=_PLACES), _Waiting()
+    if is_timed:
+        problem = with_durations(problem, dict.fromkeys(problem.domain.actions, _SECONDS))
     runner = PlanRunner({}, ClientBackend(client), initial_knowledge(problem), None, NO_JOURNAL)
     limits = TaskLimits(active=count, queue=count)
     manager = TaskManager(
@@ -162,6 +169,7 @@ def _seconds(work: Coroutine[None, None, float]) -> float:
 
 MEASURES: dict[str, Measure] = {
     "tasks-begin": lambda count: 1e6 * _seconds(_at_once(count, 0)),
+    "tasks-begin-timed": lambda count: 1e6 * _seconds(_at_once(count, 0, is_timed=True)),
     "tasks-next": lambda count: 1e6 * _seconds(_at_once(count, 1)),
     "task-call": lambda calls: 1e6 * _seconds(_under_way(calls, None)),
     "task-call-kept": lambda calls: 1e6 * _under_way_kept(calls),
