@@ -238,7 +238,7 @@ ROWS: Final = (
     ),
     Row(
         "A plan that the planner's first way of searching does not find soon",
-        "Two robots paint the tiles of a square like a chessboard. Ours waits for a second before it tries other ways.",
+        "Two robots paint the tiles of a square like a chessboard. Ours waits for half a second before it tries other ways.",
         "ms",
         "tiles a side",
         (4,),
