@@ -153,7 +153,8 @@ _LONG: Final = 1000
 _LONGER: Final = 100
 """Records after which another one begins while tasks go on."""
 _SHARE: Final = 4
-"""How much longer a segment is then than what it began with: what is said again is a part of what is written."""
+"""How much longer a segment is then than what it began with, and what the next one begins with, of which a call is a record at most: what
+is said again is a part of what is written."""
 
 _log = logging.getLogger(__name__)
 
@@ -233,6 +234,8 @@ class WrittenJournal(Journal):
         """What was sent, as far as it may be under way."""
         self._is_looked_at = False
         """Whether it is about to be looked whether a segment begins."""
+        self._next_look = self._fresh + _LONGER
+        """The records of the segment after which it is looked."""
         self._written = 0
         """The characters of the segment."""
         self._beginning = 0
@@ -357,7 +360,7 @@ class WrittenJournal(Journal):
         self._keep(now, self._codec.text(began), begins=wall)
         for said, text in texts:
             self._keep(said, text)
-        self._fresh, self._beginning = self._length, self._written
+        self._fresh, self._beginning, self._next_look = self._length, self._written, self._length + _LONGER
         self._write()
         ongoing.segment = self._file.segment
         self._drop_if_due()
@@ -370,7 +373,10 @@ class WrittenJournal(Journal):
         goes_on, length = bool(self._unfinished or self._resources.held or self._ongoing), self._length - self._fresh
         age = max(self._loop.time() - self._segment_began, self._wall() - self._segment_wall)
         is_long = length >= _LONGER and self._written > (1 + _SHARE) * self._beginning if goes_on else self._length >= _LONG
+        if goes_on and is_long:
+            is_long = length >= _SHARE * sum(len(run.machine.plan.calls) for id, run in self._live.items() if id in self._ongoing.runs)
         if not (is_long or (age >= self._period and length > 0)):
+            self._next_look = self._length + _LONGER // 4
             return
         self._write()  # what has happened is behind this segment
         if self.blocked or self._waiting or self._is_lost:
@@ -379,7 +385,7 @@ class WrittenJournal(Journal):
             self._begin_segment(self._bases[records.WORLD], self._shared)
         except Undecodable as error:  # of the goal of a request, which is kept nowhere else
             _log.warning("no segment of the journal begins while this goes on: %s", error)
-            self._fresh = self._length
+            self._fresh, self._next_look = self._length, self._length + _LONGER
 
     def _drop_if_due(self) -> None:
         """Drop what is old, unless it was looked for a short while ago."""
@@ -435,7 +441,7 @@ class WrittenJournal(Journal):
         now = self._loop.time() if now is None else now
         self._keep(now, self._codec.text(record), task=task)
         self._ongoing.note(now, record)
-        if self._length - self._fresh >= _LONGER and not self._is_looked_at:
+        if self._length >= self._next_look and not self._is_looked_at:
             self._is_looked_at = True
             self._loop.call_soon(self._begin_segment_if_due)  # between two events of all runs
 
