@@ -16,7 +16,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
-from itertools import count
+from itertools import chain, count
 from operator import itemgetter
 from typing import TYPE_CHECKING, Final, Literal, TypeAlias
 
@@ -248,7 +248,7 @@ def projected_state(state: KnowledgeBase, runs: Iterable[RunView], beside: Itera
     runs = tuple(runs)
     for call in (call for run in runs for call in (*run.settling, *run.open_calls.values()) if call.action.outcomes):
         raise NotProjectable(f"{call.action} may turn out in several ways")
-    simulation, numbers, unknown = Progression(snapshot(present_state(state, (*runs, *beside)))), count(), set[Fluent]()
+    simulation, numbers, unknown = Progression(snapshot(present_state(state, chain(runs, beside)))), count(), set[Fluent]()
     for run in runs:
         for call in run.settling:
             simulation.state.update(_still_to_come(run, call, simulation.state, state))

@@ -89,6 +89,8 @@ class Task(TaskObserver):
     """The goal in PDDL; empty for a task that is a plan."""
     start: StartTask | None = None
     id: UUID = field(init=False)
+    rank: tuple[int, int] = field(init=False)
+    """Its place among others: higher priorities first, then the one that came first."""
     observer: TaskObserver = field(init=False)
     """The task, and all who listen to it besides."""
     control: TaskControl = field(init=False)
@@ -122,6 +124,7 @@ class Task(TaskObserver):
 
     def __post_init__(self) -> None:
         self.id = self.wanted.id  # not looked up each time: everything that happens to the task names it
+        self.rank = -self.wanted.priority, self.order  # as all that wait are compared whenever one may plan
         self.observer = broadcast(TaskObserver, (self, *self.observers)) if self.observers else self
         self.control = TaskControl(self.observer)
         self.came_in = self.clock()
@@ -130,11 +133,6 @@ class Task(TaskObserver):
     def replans(self) -> int:
         """The number of nets after the first; those that were foreseen do not count."""
         return max(0, self.nets - 1 - self.foreseen)
-
-    @property
-    def rank(self) -> tuple[int, int]:
-        """Its place among others: higher priorities first, then the one that came first."""
-        return -self.wanted.priority, self.order
 
     @property
     def name(self) -> str:

@@ -12,6 +12,7 @@ from bisect import insort
 from collections.abc import Callable, Collection, Coroutine, Iterable
 from dataclasses import dataclass, replace
 from functools import partial
+from operator import attrgetter
 from time import time
 from typing import Final
 from uuid import UUID
@@ -104,7 +105,7 @@ class TaskManager:
         self._beside: set[asyncio.Task[None]] = set()
         self._order = 0
         self._is_held = False
-        self._queue: PlanningQueue[Task] = PlanningQueue(lambda task: task.rank)
+        self._queue: PlanningQueue[Task] = PlanningQueue(attrgetter("rank"))
         self._preemption = Preemption(self._tasks, self._resources, self._queue)
         self._listeners: list[TaskListener] = [self._preemption]
         self._listener = broadcast(TaskListener, self._listeners)
