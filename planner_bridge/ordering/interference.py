@@ -51,6 +51,10 @@ class ReadWriteSets:
         """All that is read or written."""
         return self.reads.union(self.facts, self.writes)
 
+    def is_clear_of(self, other: ReadWriteSets) -> bool:
+        """Return whether neither writes what the other uses: so it is for all parts of the two as well."""
+        return self.used.isdisjoint(other.writes) and other.used.isdisjoint(self.writes)
+
     def disturbed_by(self, other: ReadWriteSets) -> Fluent | None:
         """Return a fluent that this plan reads and to which the other may write another value, if there is one."""
         for fluent, values in other.writes.items():
