@@ -28,6 +28,7 @@ from pnm.core.machine.requests import (
     Request,
     TransitionAction,
 )
+from pnm.core.resources import Hands
 from pnm.errors import RunError
 from pnm.journal.journal import NO_JOURNAL, Journal
 from pnm.knowledge.people import HelpAsked, HelpEnded, note_nothing, was_carried_out
@@ -56,6 +57,8 @@ class Executor:
     """It is told what a person is asked about a request that was lost, and what has come of it."""
     called: Callable[[UUID], Executor | None] = lambda _: None
     """It returns the executor of the run that a request has begun here; None if a server carries the request out."""
+    hands: Hands = field(default_factory=Hands)
+    """What people have in their hands: nothing is sent to that."""
     ended: bool = field(default=False, init=False)
     """Whether the run was carried out, and is not any more."""
 
@@ -96,6 +99,16 @@ class Executor:
     def settle(self, request: UUID, kind: OutcomeKind) -> None:
         """Have a request that is under way end in this way, because a person says so, as soon as its server is done with it."""
         self._inbox.put_nowait(events.Settled(request, kind))
+
+    def heed_hands(self) -> None:
+        """Have the run know at once what people have in their hands. Not to be called by observers."""
+        if self.run.hands != self.hands.names and not self.ended:
+            self._handle(events.InHands(self.hands.names))
+
+    @property
+    def needs_from_people(self) -> list[str]:
+        """What calls wait for that people have in their hands, in words."""
+        return [str(self.hands.taken[name]) for name in self.run.needs_from_people if name in self.hands.taken]
 
     @property
     def paused(self) -> bool:
@@ -177,6 +190,8 @@ class Executor:
 
     async def _carry_out(self) -> RunResult:
         self._enter()
+        if self.run.hands != self.hands.names:
+            self._inbox.put_nowait(events.InHands(self.hands.names))
         if not self.run.begun:
             self._inbox.put_nowait(events.Begin())
         try:
@@ -270,12 +285,15 @@ class Executor:
     def _perform(self, commands: Sequence[events.Command]) -> None:
         for command in commands:
             match command:
+                case events.Send(request) if name := self._in_hands(request):  # decided before it was taken
+                    self._inbox.put_nowait(Ended(request.id, Outcome(OutcomeKind.UNAVAILABLE, message=str(self.hands.taken[name]))))
                 case events.Send(request):
                     if error := _raised_by(self.client.send, request, self._hear):
                         # The others go on. It may have reached the robot all the same, as may any that is not answered.
                         self._inbox.put_nowait(Ended(request.id, Outcome(OutcomeKind.UNAVAILABLE, message=f"it cannot be sent: {error}")))
                 case events.Reattach(request, accepted):
                     client = self.client
+                    accepted = accepted or bool(self._in_hands(request))  # what was not sent is not sent now
                     again = partial(client.reattach, accepted=accepted) if isinstance(client, ReattachingClient) else None
                     if again is None or _raised_by(again, request, self._hear):
                         self._inbox.put_nowait(Ended(request.id, NOT_REATTACHED))
@@ -292,6 +310,9 @@ class Executor:
                     self._start(identity, self._update(identity, question, value))
                 case _:
                     assert_never(command)
+
+    def _in_hands(self, request: Request) -> str:
+        return self.run.bindings.named(request.action, self.hands.taken) if self.hands.taken else ""
 
     def _start(self, identity: UUID, work: Coroutine[None, None, None]) -> None:
         task = self._source_tasks[identity] = asyncio.get_running_loop().create_task(work)

@@ -17,6 +17,7 @@ from uuid import UUID
 from pnm.core.machine.failure_causes import Cause
 from pnm.core.machine.machine import PetriNetMachine
 from pnm.core.net.net import Marking
+from pnm.core.resources import Hand
 
 EVENTS: Final = logging.getLogger("pnm.events")
 """The log of tasks and of their node, for handlers here: `/rosout`, by `pnm.ros.node.ros_thread`."""
@@ -335,6 +336,19 @@ class Tasks(TaskCommands, Protocol):
 
     async def cancel(self, task: UUID | None, /, *, why: str = "cancelled on request") -> None:
         """Cancel, for a reason for people."""
+
+    async def take(self, name: str, /, *, reason: str = "", by: str = "") -> str:
+        """Leave a robot, or another object or resource, to a person: what needs it is cancelled, and nothing more is sent to it.
+
+        Returns when that is confirmed, or the limit for it has passed: then what may still be at work, in words. Raises `TaskRefused`
+        for a name that nothing has, and if a person has it already.
+        """
+
+    async def give(self, name: str, /) -> None:
+        """Use again what a person has had, with what sensors say by then; raise `TaskRefused` if nobody has it."""
+
+    def hands(self) -> tuple[Hand, ...]:
+        """Return what people have in their hands."""
 
     async def step(self, task: UUID, /) -> None:
         """Let one request of a paused task leave; return when nothing of it is under way any more."""

@@ -119,6 +119,16 @@ def calls_served_by(problem: Problem, bindings: Bindings, servers: Collection[st
     return _calls_naming(problem, servers, lambda action: (bindings.of(action).server or action,))
 
 
+def calls_needing(problem: Problem, bindings: Bindings, names: Collection[str]) -> frozenset[ForbiddenCall]:
+    """Return the calls that need one of these robots, objects and resources, as `Bindings.named` says it of one call."""
+
+    def patterns(action: str) -> Iterable[str]:
+        parameters = (f"{{{variable.name.removeprefix('?')}}}" for variable in problem.domain.actions[action].parameters)
+        return dict.fromkeys((*parameters, *(part for name in bindings.of(action).resources for part in (name, *name.split("/")))))
+
+    return _calls_naming(problem, names, patterns)
+
+
 def _calls_naming(problem: Problem, names: Collection[str], patterns: Callable[[str], Iterable[str]]) -> frozenset[ForbiddenCall]:
     calls: set[ForbiddenCall] = set()
     for schema in problem.domain.actions.values() if names else ():

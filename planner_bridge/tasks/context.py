@@ -10,7 +10,7 @@ from math import inf
 from typing import Final, Generic, TypeVar
 from uuid import UUID
 
-from planner_bridge.model.guards import ForbiddenCall, calls_acquiring, calls_served_by
+from planner_bridge.model.guards import ForbiddenCall, calls_acquiring, calls_needing, calls_served_by
 from planner_bridge.model.problem import Problem
 from planner_bridge.model.progression import present_state, snapshot
 from planner_bridge.ordering.interference import FootprintIndex, Forecast, ReadWriteSets, interference
@@ -105,7 +105,8 @@ class TaskContext:
         bindings = self.settings.bindings
         names = self.runner.resources.withheld_from(history.lacking)
         gone = history.absent_servers(self.settings.limits) | self.runner.backend.missing
-        found = {
+        found = dict(self.in_hands)
+        found |= {
             call: f"needs the action server {one}, which is missing"
             for one in gone
             for call in calls_served_by(self.problem, bindings, [one])
@@ -124,6 +125,16 @@ class TaskContext:
                 if evaluate(part, counted) is True:  # as planners count
                     found[ForbiddenCall.of(action, awaited=True)] = f"needs {part}, but {observed(part, state)}"
         return found
+
+    @property
+    def in_hands(self) -> Mapping[ForbiddenCall, str]:
+        """The calls that need what people have in their hands, and the words for that."""
+        taken, bindings = self.runner.hands.taken, self.settings.bindings
+        return {
+            call: f"needs {name}, which is {hand.words}"
+            for name, hand in taken.items()
+            for call in calls_needing(self.problem, bindings, [name])
+        }
 
     def forbidden(self, history: History) -> frozenset[ForbiddenCall]:
         """Return the calls that no plan may use now."""

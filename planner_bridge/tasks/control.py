@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import threading
-from collections.abc import Awaitable, Callable, Iterator
+from collections.abc import Awaitable, Callable, Collection, Iterator
 from contextlib import contextmanager, suppress
 from math import ulp
 from typing import Final, Protocol, TypeVar
@@ -61,6 +61,9 @@ class Execution(Protocol):
     def resume(self) -> None:
         """Go on after a pause of the task."""
 
+    def look_again(self) -> None:
+        """Look again at the plan: people have taken something in hand, or have given it back."""
+
     def why_no_step(self) -> str:
         """Return why nothing may begin during the pause of the task; empty if it may."""
 
@@ -85,6 +88,8 @@ class TaskControl:
         """Called whenever there may be another plan, or another run."""
         self.policy: Policy | None = None
         """What the plan found last is the beginning of, if actions have several outcomes."""
+        self.awaits_hands = False
+        """Whether it waits for people to give back what they have in their hands; what needs nothing of that goes on."""
         self.awaits_help = False
         """Whether a person is asked for help, without which the task does not go on."""
         self.planner_stop = threading.Event()
@@ -114,7 +119,7 @@ class TaskControl:
     @property
     def awaits_people(self) -> bool:
         """Whether the task does not go on before somebody resumes it, or answers."""
-        return self.is_paused or self.awaits_help or self.awaits_answers
+        return self.is_paused or self.awaits_help or self.awaits_hands or self.awaits_answers
 
     @property
     def awaits_answers(self) -> bool:
@@ -226,7 +231,7 @@ class TaskControl:
     def resume(self) -> None:
         """Go on after a pause: with the rest of the plan if that still works."""
         if self.is_paused:
-            if self._time_limit:
+            if self._time_limit and not self.awaits_hands:
                 self._time_limit.go_on()
             self._is_unpaused.set()
             self._show(*self._activity)
@@ -236,8 +241,18 @@ class TaskControl:
     def limit_time(self, limit: TimeLimit) -> None:
         """Have pauses stop the time of this limit, in place of an earlier one."""
         self._time_limit = limit
-        if self.is_paused:
+        if self.is_paused or self.awaits_hands:
             limit.pause()
+
+    def await_hands(self, needed: Collection[str]) -> None:
+        """Note what people have in their hands that the task waits for, in words, if anything; its limit stands still meanwhile."""
+        had, self.awaits_hands = self.awaits_hands, bool(needed)
+        if (needed or had) and self._activity[0] is TaskState.RUNNING:
+            self.enter(TaskState.RUNNING, f"waits: {'; '.join(needed)}" if needed else "")
+        if needed and self._time_limit:
+            self._time_limit.pause()
+        elif had and self._time_limit and not self.is_paused:
+            self._time_limit.go_on()
 
     # --- what the task does -----------------------------------------------------------------------
 

@@ -26,6 +26,7 @@ from planner_bridge.tasks.replanning import (
     NextStretch,
     PlanAgain,
     Progress,
+    Reached,
     ResumePlan,
     decide,
     decision_words,
@@ -74,7 +75,8 @@ class GoalLoop:
     """Pursues the goal of a task with as many plans as it takes.
 
     Whether a run is over or goes on, one method decides what follows it (`_replan`): a run that is over is a run with nothing under
-    way. The mutable state is the log, when the back-off ends before the current run is replaced, whether facts have changed since the
+    way. The mutable state is the log, when the back-off ends before the current run is replaced, how often people had taken
+    something in hand or given it back when a run was replaced last, whether facts have changed since the
     last attempt began, the question to a person that is open, and that of the other parts.
 
     Args:
@@ -93,6 +95,7 @@ class GoalLoop:
         self._search = PlanSearch(context, self._monitor, kept)
         self._log, self._kept_run = restored_log(kept) if kept else (TaskLog(history or History()), None)
         self._retry_at: float | None = None
+        self._hands_changes = context.runner.hands.changes
         self._facts_changed = asyncio.Event()
         self._question: asyncio.Future[Advice] | None = None
 
@@ -281,6 +284,7 @@ class GoalLoop:
                 return graph
 
     def _follow(self, machine: PetriNetMachine, result: RunResult, decision: Decision, history: History) -> None:
+        self._hands_changes = self._context.runner.hands.changes
         self._log.end(machine, result, decision)
         self._log.history = history
         self._note_goal(decision)
@@ -339,6 +343,8 @@ class GoalLoop:
     def _next_history(self, execution: PlanExecution) -> History:
         """Return the history with this run, if another is to follow it."""
         result, history = execution.result, self._log.history
+        if self._hands_changes != self._context.runner.hands.changes:  # what people do to a plan says nothing about it
+            history = replace(history, replans=history.replans - 1, reached=Reached())
         if not (result.failures or execution.is_over):
             return replace(history, replans=history.replans + 1)
         missing = self._context.runner.backend.missing
@@ -453,8 +459,8 @@ class GoalLoop:
                 execution.succeed(successor)
                 self._follow(machine, result, decision, history)
                 self._retry_at = None
-        except (NoPlan, TaskEnded):
-            return Outstanding.NOTHING
+        except (NoPlan, TaskEnded) as error:  # without what people have there may be a plan later, when others have come further
+            return Outstanding.REPLACEMENT if isinstance(error, NoPlan) and error.hands else Outstanding.NOTHING
         except (NotProjectable, PlanGraphError, Unsound):  # what is under way may not fit into any plan
             return Outstanding.REPLACEMENT
         finally:

@@ -75,7 +75,7 @@ class PlanExecution(Observer):
             run = runner.journal.go_on(begin_with, broadcast(Observer, (context.observer, self)), client.goal_fields)
         else:
             run = self._run_of(begin_with, {})
-        self.executor = Executor(run, client, runner.source, context.task.wanted.text, runner.journal, context.note)
+        self.executor = Executor(run, client, runner.source, context.task.wanted.text, runner.journal, context.note, hands=runner.hands)
         self._future: asyncio.Future[RunResult] = asyncio.get_running_loop().create_future()
 
     async def __aenter__(self) -> PlanExecution:
@@ -91,6 +91,8 @@ class PlanExecution(Observer):
         self._future = asyncio.ensure_future(self._context.runner.execute_run(self.executor))
         self._future.add_done_callback(end)
         self._context.control.enter(TaskState.RUNNING)
+        if self._context.runner.hands.taken:
+            self.look_again()
         return self
 
     async def __aexit__(self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None) -> None:
@@ -240,10 +242,14 @@ class PlanExecution(Observer):
         if self._context.scheduler.new_conflicts(self._context.task, lambda: self.needed):
             self.is_blocked = True
         # The run stays paused in these cases, so that nothing starts before it is decided what to do.
-        if self.is_blocked or self.result.failures or (self.is_eager and self.obstacle()):
+        if self.is_blocked or self.result.failures or ((self.is_eager or self.run.hands) and self.obstacle()):
             self._attention.set()
         elif not self._is_held:
             self.executor.resume()
+
+    def look_again(self) -> None:
+        """Call for attention: people have taken something in hand, which the run knows, or have given it back, which it gets to know then."""
+        self._attention.set()
 
     def why_no_step(self) -> str:
         """Return why nothing of the plan may begin now: it does not lead to its goal, or others are at work with what it needs."""
@@ -262,8 +268,10 @@ class PlanExecution(Observer):
         self.executor.pause(at_once=False)
 
     def release(self) -> None:
-        """Go on, unless the task is paused."""
+        """Go on, unless the task is paused; what people have given back may be used again."""
         self._is_held = False
+        self.executor.heed_hands()
+        self._context.control.await_hands(self.executor.needs_from_people)
         if not self._context.control.is_paused:
             self.executor.resume()
 

@@ -69,10 +69,16 @@ class NoPlan(Exception):
     Args:
         busy: action servers that are at work on what this process has not asked for: while a robot moves, it is nowhere.
         missing: action servers that are not there, and without which there may be no plan.
+        hands: robots, and other objects and resources, that people have in their hands, in words: with them there is a plan.
     """
 
     def __init__(
-        self, result: PlanningResult, forbidden: frozenset[ForbiddenCall], busy: tuple[str, ...] = (), missing: tuple[str, ...] = ()
+        self,
+        result: PlanningResult,
+        forbidden: frozenset[ForbiddenCall],
+        busy: tuple[str, ...] = (),
+        missing: tuple[str, ...] = (),
+        hands: tuple[str, ...] = (),
     ) -> None:
         failed = sorted(str(call) for call in forbidden if ANY not in call.arguments and not call.awaited)
         awaited = sorted(str(call) for call in forbidden if call.awaited)
@@ -80,16 +86,22 @@ class NoPlan(Exception):
         without = [
             *([f" without {', '.join(failed)}, not to be tried again"] if failed else []),
             *([f" without {', '.join(awaited)}, for which too little is known"] if awaited else []),
-            *([f" without {', '.join(lacking)}, whose servers or resources are not to be had"] if lacking and not missing else []),
+            *([f" without {' and '.join(hands)}"] if hands else []),
+            *(
+                [f" without {', '.join(lacking)}, whose servers or resources are not to be had"]
+                if lacking and not (missing or hands)
+                else []
+            ),
             *([f" without the action server {' and '.join(missing)}, which is missing"] if missing else []),
         ]
         meanwhile = f", while {', '.join(busy)} {'are' if len(busy) > 1 else 'is'} at work on goals of other programs" if busy else ""
         said_once = result.status is PlanningStatus.NO_PLAN and result.message
-        reason = "" if missing else f": {said_once or result.reason}"  # which is that the servers are missing
+        reason = "" if missing or hands else f": {said_once or result.reason}"  # which is that the servers are missing
         super().__init__(f"no plan{' and'.join(without)}{meanwhile}{reason}")
         self.status = result.status
         self.busy = busy
         self.missing = missing
+        self.hands = hands
         self.awaits = bool(missing or awaited)
 
 
@@ -250,7 +262,7 @@ class PlanSearch:
         """Search for a plan; while there is none, wait for facts to change and search again, for these seconds.
 
         While servers are at work on what this process has not asked for, it waits longer, for `_ELSEWHERE` seconds; for those that are
-        missing, or for what is not known, `_RETURN` seconds.
+        missing, or for what is not known, `_RETURN` seconds; and until people give back what they have in their hands.
 
         Raises:
             NoPlan: there is none, and it has waited long enough.
@@ -259,6 +271,7 @@ class PlanSearch:
         control, loop, backend = self._control, asyncio.get_running_loop(), self._context.runner.backend
         changed, began, told = asyncio.Event(), None, ""
         unsubscribe = self._context.world.listen(lambda changes: changed.set() if changes else None)
+        stop_listening = self._context.runner.hands.listen(changed.set)
         try:
             while True:
                 changed.clear()
@@ -267,15 +280,20 @@ class PlanSearch:
                 except NoPlan as no_plan:
                     began = loop.time() if began is None else began
                     longer = _ELSEWHERE if no_plan.busy else _RETURN if no_plan.awaits else 0.0
-                    until = began + max(patience, longer)
+                    until = inf if no_plan.hands else began + max(patience, longer)
                     if no_plan.status not in _NO_PLAN or loop.time() >= until:
                         raise
                     for_what = f"for {', '.join(no_plan.missing)}" if no_plan.missing else "for facts to change"
-                    reason = f"waits {until - loop.time():g} s at most {for_what}: {no_plan}"
+                    limit = "" if until == inf else f" {until - loop.time():g} s at most"
+                    reason = f"waits{limit} {'until people give them back' if no_plan.hands else for_what}: {no_plan}"
                     control.enter(TaskState.QUEUED, reason)
                     if told != str(no_plan):  # once, however often it is looked at again because facts change
                         told = str(no_plan)
                         self._context.observer.blocked(reason)
+                    if no_plan.hands:
+                        control.await_hands(no_plan.hands)
+                        await control.until(changed.wait())
+                        control.await_hands(())
                     while not changed.is_set() and backend.missing.issuperset(no_plan.missing):
                         if await control.until(backend.busy_elsewhere()) != no_plan.busy:
                             break
@@ -287,6 +305,7 @@ class PlanSearch:
                 await control.wait(self._context.settings.limits.backoff)  # facts seldom change alone, and some all the time
         finally:
             unsubscribe()
+            stop_listening()
 
     async def following(self, execution: PlanExecution, forbidden: frozenset[ForbiddenCall]) -> Plan | None:
         """Find a plan from the state after what is under way; None if it is in conflict with those of other tasks, or the run has to go on.
@@ -337,9 +356,8 @@ class PlanSearch:
         if run is None:
             self._begin()
         going_on = [request.call for request in run.under_way()] if run else []
-        now = forbid(
-            self._monitor.now(projected_state(context.world, (run,), context.scheduler.runs()) if run and going_on else None), forbidden
-        )
+        state = self._monitor.now(projected_state(context.world, (run,), context.scheduler.runs()) if run and going_on else None)
+        now = forbid(state, forbidden)
         context.scheduler.release(context.task)  # while it plans anew, the last plan must not keep others away
         context.observer.planning(context.settings.planner)
         running = context.scheduler.running_calls(context.task)  # now, and not when the planner has answered
@@ -371,7 +389,7 @@ class PlanSearch:
                 result = replace(result, status=PlanningStatus.NO_PLAN)
             bindings, missing = context.settings.bindings, sorted(context.runner.backend.missing)
             gone = [name for name in missing if not forbidden.isdisjoint(calls_served_by(context.problem, bindings, [name]))]
-            raise NoPlan(result, forbidden, busy, tuple(gone))
+            raise NoPlan(result, forbidden, busy, tuple(gone), await self._from_people(state, forbidden, result))
         return self._reserved(result.plan, needed, conflicts or context.scheduler.conflicts(context.task, needed))
 
     async def given(self, plan: Plan) -> tuple[Plan | None, tuple[Conflict, ...]]:
@@ -424,6 +442,13 @@ class PlanSearch:
         if not hoped or (await self._solve(replace(now, init={**now.init, **hoped}))).plan is None:
             return ()
         return others
+
+    async def _from_people(self, now: Problem, forbidden: frozenset[ForbiddenCall], result: PlanningResult) -> tuple[str, ...]:
+        """Return what people have in their hands, in words, if there is a plan with it."""
+        hands = self._context.in_hands
+        if not hands or result.status not in _NO_PLAN or (await self._solve(forbid(now, forbidden - hands.keys()))).plan is None:
+            return ()
+        return tuple(dict.fromkeys(why.removeprefix("needs ") for why in hands.values()))
 
     async def _sooner(self, now: Problem, forecasts: Mapping[Task, Forecast], latest: float, share: float) -> tuple[Conflict, ...]:
         """Return the tasks to wait for because the goal is reached before the latest time then; in seconds from now.

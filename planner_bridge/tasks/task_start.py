@@ -171,6 +171,11 @@ class PlanTask:
         """Go on after a pause."""
         self.executor.resume()
 
+    def look_again(self) -> None:
+        """Use what people have given back; what they have taken, the run knows already."""
+        self.executor.heed_hands()
+        self._context.control.await_hands(self.executor.needs_from_people)
+
     def why_no_step(self) -> str:
         """Return why nothing of the plan may begin now: others are at work with what it needs."""
         others = self._context.scheduler.conflicts(self._context.task, lambda: self.needed)

@@ -19,6 +19,7 @@ from collections.abc import Callable, Collection, Hashable, Iterable, Iterator, 
 from dataclasses import dataclass
 from math import inf
 from operator import itemgetter
+from time import localtime, strftime
 from typing import Any, Final, Generic, TypeAlias, TypeVar
 from uuid import UUID
 
@@ -293,6 +294,62 @@ class Resources(KeptState):
 def who_keeps(withheld: Mapping[str, str]) -> str:
     """Return as text which requests keep which resources; empty when none is withheld."""
     return "; ".join(f"{name} is kept by {by}, which has not confirmed that it is over" for name, by in withheld.items())
+
+
+@dataclass(frozen=True, slots=True)
+class Hand:
+    """A robot, or another object or resource, in the hands of a person.
+
+    Args:
+        since: the time of day in seconds.
+        by: who has it; empty if nobody has said so.
+    """
+
+    name: str
+    since: float
+    reason: str = ""
+    by: str = ""
+
+    @property
+    def words(self) -> str:
+        """Whose hands it is in, since when, and why."""
+        by, at = f"the hands of {self.by}" if self.by else "a person's hands", strftime("%H:%M", localtime(self.since))
+        return f"in {by} since {at}{f': {self.reason}' if self.reason else ''}"
+
+    def __str__(self) -> str:
+        return f"{self.name} is {self.words}"
+
+
+class Hands:
+    """The robots, and other objects and resources, that people have in their hands: no run has anything sent to them.
+
+    The mutable state is these, by name; how often that has changed; and who listens to it.
+    """
+
+    def __init__(self) -> None:
+        self.taken: dict[str, Hand] = {}
+        self.changes = 0
+        self._listeners: list[Callable[[], object]] = []
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The names of what people have, the first taken in front."""
+        return tuple(self.taken)
+
+    def put(self, hand: Hand, *, is_taken: bool) -> None:
+        """Note that a person has taken something, or has given it back."""
+        if is_taken:
+            self.taken[hand.name] = hand
+        else:
+            self.taken.pop(hand.name, None)
+        self.changes += 1
+        for listener in tuple(self._listeners):
+            listener()
+
+    def listen(self, listener: Callable[[], object]) -> Callable[[], None]:
+        """Call the listener at every change from now on; return what stops that."""
+        self._listeners.append(listener)
+        return lambda: self._listeners.remove(listener)
 
 
 class RunClaims(KeptState, Generic[Place]):

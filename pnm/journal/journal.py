@@ -23,7 +23,7 @@ from pnm.core.machine.bindings import Bindings
 from pnm.core.machine.machine import PetriNetMachine
 from pnm.core.machine.plan_graph import GroundAction
 from pnm.core.machine.requests import Request
-from pnm.core.resources import Resources
+from pnm.core.resources import Hand, Resources
 from pnm.journal import records
 from pnm.journal.codec import Codec, Undecodable
 from pnm.journal.kept import DAY, KEPT, LISTED, UNSHARED, Fenced, Hold, JournalError, Row, StandBys, TaskRow, log_end
@@ -115,6 +115,10 @@ class Journal:
     def held(self, task: UUID | None, *, is_held: bool) -> None:
         """Record that an operator has paused a task, or those that are still to come, or has let them go on."""
         self._record(records.TaskHeld(task, is_held))
+
+    def put(self, hand: Hand, *, is_taken: bool) -> None:
+        """Keep that a person has taken something in hand, or has given it back."""
+        self._record(records.HandPut(hand, is_taken))
 
     def entered(self, task: UUID, state: TaskState, reason: str) -> None:
         """Record that a task is in another state; how it ends is recorded by `over`."""
@@ -315,6 +319,11 @@ class WrittenJournal(Journal):
             self._ongoing.forget(wanted.id)
             raise JournalError(self.blocked)
         self._unfinished[wanted.id] = task, self._loop.time()
+
+    def put(self, hand: Hand, *, is_taken: bool) -> None:
+        """Keep that a person has taken something in hand, or has given it back: before anybody hears of it, if it can be written."""
+        super().put(hand, is_taken=is_taken)
+        self._write()
 
     def over(self, task: UUID, ending: TaskEnding, then: Callable[[], None] = lambda: None) -> None:
         """Keep how a task has ended, and do something then. A segment begins if this one is long."""

@@ -25,6 +25,7 @@ from pnm.core.machine.bindings import Bindings
 from pnm.core.machine.machine import OnFailure
 from pnm.core.machine.plan_graph import PlanGraph
 from pnm.core.machine.requests import Accepted, CallOutcome, Ended, Feedback, Postponed, Request
+from pnm.core.resources import Hand
 from pnm.tasks import TaskEnding, TaskState, Wanted
 
 WORLD: Final = 0
@@ -228,6 +229,14 @@ class TaskHeld:
 
 
 @dataclass(frozen=True, slots=True)
+class HandPut:
+    """A person has taken a robot, or another object or resource, in hand, or has given it back."""
+
+    hand: Hand
+    is_taken: bool
+
+
+@dataclass(frozen=True, slots=True)
 class TaskEntered:
     """A task is in another state, for a reason: whoever tells of a task tells this."""
 
@@ -347,6 +356,7 @@ Record: TypeAlias = (
     | EndConfirmed
     | TaskAccepted
     | TaskHeld
+    | HandPut
     | TaskEntered
     | TaskNoted
     | TaskOver

@@ -22,7 +22,7 @@ from pnm.core.knowledge_base import KnowledgeBase, Layered, statement_text
 from pnm.core.machine.generate import generate
 from pnm.core.machine.machine import PetriNetMachine
 from pnm.core.machine.requests import Accepted, Ended, Feedback, Postponed, Request
-from pnm.core.resources import Resources
+from pnm.core.resources import Hands, Resources
 from pnm.errors import PnmError, counted
 from pnm.journal import records
 from pnm.tasks import REMEMBERED, TaskEnding
@@ -41,6 +41,8 @@ class Ongoing:
         """The first record of the segment that goes on."""
         self._is_held = False
         """Whether an operator has paused all tasks."""
+        self._hands: dict[str, tuple[float, records.HandPut]] = {}
+        """What people have in their hands, with the times at which they took it."""
         self._recent: deque[tuple[records.Record, records.TaskOver]] = deque(maxlen=REMEMBERED)
         """The tasks that have ended last."""
         self._notes = count()
@@ -56,7 +58,7 @@ class Ongoing:
     def in_another_world(self) -> Ongoing:
         """Return the same without anything that goes on."""
         other = Ongoing()
-        other._is_held, other._recent = self._is_held, self._recent
+        other._is_held, other._hands, other._recent = self._is_held, self._hands, self._recent
         return other
 
     def __bool__(self) -> bool:
@@ -96,6 +98,10 @@ class Ongoing:
                 self._keep(task, type(note) if getattr(note, "is_whole", False) else next(self._notes), time, record, since)
             case records.TaskHeld(None, is_held):
                 self._is_held = is_held
+            case records.HandPut(hand, is_taken):
+                self._hands.pop(hand.name, None)
+                if is_taken:
+                    self._hands[hand.name] = time, record
             case records.TaskHeld(task) | records.TaskEntered(task) if task is not None:
                 self._keep(task, type(record), time, record, since)
             case records.TimeCounted(of):
@@ -117,6 +123,7 @@ class Ongoing:
             if number == records.WORLD and self._is_held:
                 yield now, records.TaskHeld(None, is_held=True)
             if number == records.WORLD:
+                yield from self._hands.values()
                 yield from ((now, record) for ended in self._recent for record in ended)
         if claims.requests or claims.state["_held"] or claims.state["_line"]:
             yield now, claims
@@ -212,6 +219,8 @@ class Replay:
     """All that were sent."""
     is_held: bool = False
     """Whether an operator has paused all tasks."""
+    hands: Hands = field(default_factory=Hands)
+    """What people have in their hands."""
     began: float = 0.0
     """The beginning of the world, on the clock of the event loop."""
     segment_began: float = 0.0
@@ -270,6 +279,8 @@ class Replay:
                 self.tasks[wanted.id] = ReplayedTask(record, time, self, self.is_held, made)
             case records.TaskHeld(None, is_held):
                 self.is_held = is_held
+            case records.HandPut(hand, is_taken):
+                self.hands.put(hand, is_taken=is_taken)
             case records.TaskHeld(task, is_held):
                 if task in self.tasks:
                     self.tasks[task].is_held = is_held
@@ -280,7 +291,7 @@ class Replay:
             case records.SharedBegan(capacities, began=began):
                 self.shared, self.resources, self.bases = record, Resources(capacities), {}
                 self.began, self.segment_began, self.length = began, time, 1
-                self.fields, self.ongoing = {}, Ongoing(number)
+                self.fields, self.ongoing, self.hands = {}, Ongoing(number), Hands()
                 # what goes on is said again
                 going_on = {task.accepted.wanted.id for task in self.unfinished}
                 self.runs = {id: one for id, one in self.runs.items() if one.is_over and one.made.task not in going_on}
@@ -416,6 +427,8 @@ def words(step: ReplayStep, replay: Replay) -> tuple[str, ...]:
             return (f"accepted {wanted.words}",)
         case records.TaskHeld(task, is_held):
             return (f"{'paused' if is_held else 'resumed'} {'all' if task is None else task.hex[:8]}",)
+        case records.HandPut(hand, is_taken):
+            return (str(hand) if is_taken else f"{hand.name} is given back",)
         case records.TaskEntered(task, state, reason):
             return (f"{task.hex[:8]} is {state.word}{f': {reason}' if reason else ''}",)
         case records.TaskNoted(_, note):
@@ -449,6 +462,8 @@ def event_text(event: events.Event, replay: Replay) -> str:
             return f"pause{' at once' if at_once else ''}"
         case events.Resume():
             return "resume"
+        case events.InHands(names):
+            return f"in people's hands: {', '.join(names) or 'nothing'}"
         case events.SingleStep():
             return "step: one call may begin"
         case events.Settled(request, kind):

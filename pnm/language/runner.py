@@ -31,7 +31,7 @@ from pnm.core.machine.generate import generate
 from pnm.core.machine.machine import PetriNetMachine
 from pnm.core.machine.plan_graph import GroundAction
 from pnm.core.machine.verification.verify import Proof, verify
-from pnm.core.resources import Resources
+from pnm.core.resources import Hands, Resources
 from pnm.errors import InputError, suggestion
 from pnm.executor import Executor
 from pnm.journal.journal import NO_JOURNAL, Journal
@@ -161,6 +161,7 @@ class PlanRunner:
             for name, capacity in program.plan.graph.capacities.items():
                 capacities[name] = min(capacity, capacities.get(name, capacity))
         self.resources = replay.resources if replay else Resources(capacities)
+        self.hands = replay.hands if replay else Hands()
         if replay and replay.shared and replay.shared.prefix:
             self.prefix = replay.shared.prefix
         self.programs = {name: program.sharing(self.resources) for name, program in self.programs.items()}
@@ -249,7 +250,7 @@ class PlanRunner:
 
     def _plan_run(self, run: Run, client: PlansClient, name: str) -> PlanRun:
         note = partial(self.journal.noted, client.task)
-        return PlanRun(self.programs[name], Executor(run, client, self.source, name, self.journal, note, client.executor_of))
+        return PlanRun(self.programs[name], Executor(run, client, self.source, name, self.journal, note, client.executor_of, self.hands))
 
     async def check(self, plan_run: PlanRun) -> None:
         """See to it that every parameter of the plan has a value, before it is carried out; see `check_values`."""

@@ -5,7 +5,7 @@ Decides nothing: `pnm.core.execution.run` decides when, and gets the commands th
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import replace
 from typing import Any, Final, TypeAlias
 from uuid import UUID
@@ -152,6 +152,11 @@ class Calls(KeptState):
         if action is TransitionAction.SEND:
             return self._next(call)[1], ready(context.action, context)
         return self.attempts[call].request, self.action(call)
+
+    def named(self, call: int, action: TransitionAction | None, context: EvaluationContext, names: Collection[str]) -> str:
+        """Return the first of these robots, objects and resources that the call needs; see `claiming`."""
+        is_next = action is TransitionAction.SEND or call not in self.attempts
+        return self.bindings.named(ready(context.action, context) if is_next else self.action(call), names)
 
     def shows_nothing(self, call: int) -> bool:
         """Return whether nothing of the call's effects can be seen, whatever is so."""

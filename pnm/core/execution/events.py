@@ -68,6 +68,16 @@ class Resume:
 
 
 @dataclass(frozen=True, slots=True)
+class InHands:
+    """People have these robots, or other objects or resources, in their hands, and no others.
+
+    Calls that need one begin nothing; those that run are cancelled, to begin anew later. All other calls go on.
+    """
+
+    names: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
 class SingleStep:
     """Let one call send its request during a pause, if one can now; the pause goes on, and does not cancel it."""
 
@@ -102,7 +112,19 @@ class Settled:
 
 
 Event: TypeAlias = (
-    Begin | Restarted | KnowledgeChanged | ResourcesChanged | Tick | Stop | Pause | Resume | SingleStep | Answered | Settled | Report
+    Begin
+    | Restarted
+    | KnowledgeChanged
+    | ResourcesChanged
+    | Tick
+    | Stop
+    | Pause
+    | Resume
+    | InHands
+    | SingleStep
+    | Answered
+    | Settled
+    | Report
 )
 
 

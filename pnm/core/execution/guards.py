@@ -78,7 +78,8 @@ class Guards(KeptState):
         # While it is not withheld, the claim is waited for without limit: some call gives back what it needs.
         guard = self.state.index.guard(site, firing)
         assert isinstance(guard, guards.Withheld)
-        is_withheld = bool(self.withheld(_call(site, firing), guard, place)) and not self.state.pause  # a pause stops this clock
+        is_withheld = bool(self.withheld(_call(site, firing), guard, place))
+        is_withheld = is_withheld and not self.state.pause and not self.in_hands(site, firing, place)  # a pause stops this clock
         return self._after(site, firing, place, is_withheld, guard.seconds)
 
     def _late(self, site: Site, firing: Firing, place: int) -> float:
@@ -154,6 +155,14 @@ class Guards(KeptState):
         """Return whether the transition would be enabled if no call of the run had resources."""
         # Enabled transitions lack nothing and are included, which does no harm: they are asked in any case.
         return self.state.engine.lacking(transition) <= self.state.index.resources.keys()
+
+    def in_hands(self, site: Site, firing: Firing, place: int | None) -> str:
+        """Return what people have in their hands that the transition needs for its call; empty if there is nothing."""
+        if not self.state.hands:
+            return ""
+        call, rule = _call(site, firing), self.state.index.guard(site, firing)
+        action = rule.action if isinstance(rule, guards.Withheld) else firing.action
+        return self._calls.named(call, action, self.context(call, place), self.state.hands)
 
     def has_resources(self, site: Site, firing: Firing, place: int) -> bool:
         """Return whether the resources that the transition takes are free; if not, its call stands in line for them."""
@@ -240,7 +249,7 @@ OPENS: Final[Mapping[type, Callable[[Guards, Site, Firing, int], float]]] = {
     guards.Ending: lambda run, site, firing, place: _now_if(run.state.ending),
     guards.Failing: lambda run, site, firing, place: _now_if(run.state.failing),
     guards.CancelAsked: lambda run, site, firing, place: _now_if(run.state.cancels),
-    guards.PauseAsked: lambda run, site, firing, place: _now_if(run.state.suspends),
+    guards.PauseAsked: lambda run, site, firing, place: _now_if(run.state.suspends or bool(run.in_hands(site, firing, place))),
     guards.ConditionTrue: lambda run, site, firing, place: -NEVER if run.truth(site, firing, place) is True else NEVER,
     guards.ConditionFalse: Guards._not_true,
     guards.ConditionUnknown: Guards._not_true,

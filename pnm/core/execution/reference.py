@@ -6,7 +6,7 @@ m₀   The initial marking, `machine.initial`. A marking m says how many tokens 
 P_g  The goal places, `machine.goal_places`. The machine has reached its goal when P_g ∩ m ≠ ∅, and has failed when `failed_place` is
      marked. Of a machine that was proved sound, one of the two becomes true in the end.
 Σ    The input symbols, `Symbol`: a server's report about a request, a change of knowledge or of resources, a moment in time, a person's
-     answer, and control: begin, pause, resume, step, stop.
+     answer, and control: begin, pause, resume, step, stop, and what people have in their hands.
 δ̂    The transition function, `ReferenceRun.delta`. In the paper δ̂: Σ × M × T → T̄, where T̄ says how often each transition fires, and then
      m' = T̄·D + m with the incidence matrix D. Here δ̂ gives the firings in their order, because one may change knowledge that decides
      the next. T̄ counts them, so the equation holds for every symbol; a test checks it.
@@ -65,7 +65,7 @@ from pnm.core.resources import Claim, Resources, RunClaims
 
 _Report: TypeAlias = requests.Accepted | requests.Ended
 _Change: TypeAlias = events.KnowledgeChanged | events.ResourcesChanged | events.Tick | events.Answered
-_Control: TypeAlias = events.Begin | events.Stop | events.Pause | events.Resume | events.SingleStep | events.Settled
+_Control: TypeAlias = events.Begin | events.Stop | events.Pause | events.Resume | events.InHands | events.SingleStep | events.Settled
 Symbol: TypeAlias = _Report | requests.Postponed | _Change | _Control
 """Σ. All other events move no token."""
 
@@ -91,6 +91,7 @@ class ReferenceRun:
     has_begun: bool = False
     stop: events.Stop | None = None
     pause: events.Pause | None = None
+    hands: tuple[str, ...] = ()  # robots, and other objects and resources, that people have in their hands
     is_stepping: bool = False  # one request may be sent although the run is paused
     queue: deque[str] = field(default_factory=deque)  # places to be asked
     undecided: dict[str, None] = field(default_factory=dict)  # places to be asked again, in the order in which they became undecided
@@ -170,6 +171,9 @@ class ReferenceRun:
             case events.Resume():
                 self.pause = None
                 self.queue += self.undecided
+            case events.InHands(names):
+                self.hands = names
+                self.queue += self.undecided
             case events.SingleStep():
                 self.pause, self.is_stepping = self.pause and events.Pause(), self.pause is not None
                 self.queue += self.undecided
@@ -238,7 +242,7 @@ class ReferenceRun:
         for transition in self.asked_at[place]:
             rule, takes = self.rules[transition], transition in self.claiming
             opener = rule.guard.opened_by
-            if opener is guards.Opener.REPORT or (opener is guards.Opener.ENDING and not (self.is_ending or self.pause)):
+            if opener is guards.Opener.REPORT or (opener is guards.Opener.ENDING and not (self.is_ending or self.pause or self.hands)):
                 is_undecided = True  # a report, or the end of the run, is waited for
                 continue
             # A transition that lacks nothing but resources is asked as well: its call has to stand in line for them.
@@ -248,8 +252,9 @@ class ReferenceRun:
                 continue  # while an answer is awaited that may open an earlier transition, no later one fires but those of time
             is_undecided = True
             try:
-                if self.pause and not self.is_stepping and (takes or rule.action is requests.TransitionAction.SEND):
-                    break  # until the run is resumed
+                if takes or rule.action is requests.TransitionAction.SEND:
+                    if (self.pause and not self.is_stepping) or self._in_hands(rule.call, rule.action, place):
+                        break  # until the run is resumed, or a person gives back what the call needs
                 if takes and rule.call is not None and not self.claims.are_free(place, self._claim(rule.call, rule.action, place)):
                     is_in_line = True
                     break
@@ -327,7 +332,7 @@ class ReferenceRun:
             case guards.CancelAsked():
                 is_open = (self.stop is not None and self.stop.cancel) or (self.is_ending and self.machine.on_failure is OnFailure.CANCEL)
             case guards.PauseAsked():
-                is_open = self.pause is not None and self.pause.at_once
+                is_open = (self.pause is not None and self.pause.at_once) or self._in_hands(rule.call, rule.action, place)
             case guards.ConditionTrue(condition):
                 is_open = evaluate(ground(condition, context.environment()), context) is True
             case guards.ConditionFalse(condition) | guards.ConditionUnknown(condition):
@@ -342,7 +347,7 @@ class ReferenceRun:
                 is_open = bool(call_data.goal(context.action, self.goal_fields, context)[1])
             case guards.Withheld(call, seconds, action):
                 is_withheld = bool(self.claims.resources.withheld_from(self._claim(call, action, place).names))
-                return self._after(transition, is_withheld and not self.pause, seconds)
+                return self._after(transition, is_withheld and not self.pause and not self._in_hands(call, action, place), seconds)
             case guards.EffectsSeen(call):
                 return self.attempts[call].seen(context, self.marked_at[place])  # which of several outcomes it was may be reported late
             case guards.EffectsMissing(call):
@@ -436,6 +441,14 @@ class ReferenceRun:
         """Have the undecided places asked again at which a guard reads knowledge."""
         knowing = {name for name, rule in self.rules.items() if rule.guard.opened_by is guards.Opener.KNOWLEDGE}
         self.queue += [place for place in self.undecided if knowing.intersection(self.asked_at[place])]
+
+    def _in_hands(self, call: int | None, action: requests.TransitionAction | None, place: str | None) -> bool:
+        """Return whether a person has something in hand that the call needs: for its next request if that is being sent."""
+        if call is None or not self.hands:
+            return False
+        attempt, context = self.attempts.get(call), self._context(call, place)
+        is_out = attempt and action is not requests.TransitionAction.SEND
+        return bool(self.bindings.named(attempt.action if attempt and is_out else call_data.ready(context.action, context), self.hands))
 
     def _claim(self, call: int, action: requests.TransitionAction | None, place: str | None) -> Claim:
         """Return the claims of a call for its request; for the next one if that is being sent."""

@@ -47,6 +47,8 @@ class Run(RunView):
         old.retire(self.open_requests)  # now that this one has claimed what it adopts, which is therefore not free for a moment
         if old.pausing:  # before `Begin`, so that nothing starts during a pause of the old one
             self.handle(old.pausing, now)
+        if old.hands:
+            self.handle(events.InHands(old.hands), now)
         return questions
 
     def handle(self, event: events.Event, now: float) -> list[events.Command]:
@@ -78,7 +80,7 @@ class Run(RunView):
                 self._settle()
                 state.is_stepping = False
                 self._agenda.ask_undecided()  # those that could not begin leave the lines for resources
-            case events.Stop() | events.Pause() | events.Resume():
+            case events.Stop() | events.Pause() | events.Resume() | events.InHands():
                 state.follow(event)
                 if isinstance(event, events.Stop) and event.cancel:  # nothing is asked any more, so that no answer holds up the end
                     self._commands += self._questions.close("the run was stopped")
@@ -164,7 +166,7 @@ class Run(RunView):
         """Fire the first open transition that takes from the place; if there is none, note when to ask again."""
         state = self._state
         now, again, asking = state.now, NEVER, False
-        if state.ending or state.pause:
+        if state.ending or state.pause or state.hands:
             firings, waiting = decision.firings, decision.awaits
         elif (limit := decision.limit) is not None and (until := self._guards.waits_until(site, limit, place)) > now:  # as below, at once
             self._agenda.wait_until(place, until)
@@ -179,7 +181,7 @@ class Run(RunView):
             if asking and firing.rule.guard.opened_by is not Opener.TIME:
                 continue
             try:
-                if (firing.takes or state.pause) and self._is_put_off(site, firing, place):
+                if (firing.takes or state.pause or state.hands) and self._is_put_off(site, firing, place):
                     waiting = True
                     break  # the rules after this one are asked when it may be asked itself
                 opens = OPENS[firing.guarded](guards, site, firing, place)
@@ -215,9 +217,10 @@ class Run(RunView):
             self._agenda.set_timer(place, needed.until)
 
     def _is_put_off(self, site: Site, firing: Firing, place: int) -> bool:
-        """Return whether the transition must wait: for the end of a pause, or for the resources of its call."""
+        """Return whether the transition must wait: for the end of a pause, for a person, or for the resources of its call."""
         state, begins = self._state, firing.takes or firing.action is TransitionAction.SEND
-        if not state.pause or state.is_stepping or not begins:  # what is sent goes on
+        is_in_hands = bool(begins and state.hands and self._guards.in_hands(site, firing, place))
+        if not is_in_hands and (not state.pause or state.is_stepping or not begins):  # what is sent goes on
             return firing.takes and not self._guards.has_resources(site, firing, place)
         self._leave_line(place)
         return True

@@ -12,7 +12,7 @@ from typing import Any, ClassVar, Final
 from uuid import UUID
 
 from pnm.core.execution.call_results import CallResults
-from pnm.core.execution.events import Pause, Resume, Settled, SingleStep, Stop
+from pnm.core.execution.events import InHands, Pause, Resume, Settled, SingleStep, Stop
 from pnm.core.execution.handover import UnderWay
 from pnm.core.execution.machine_index import MachineIndex
 from pnm.core.kept_state import KeptState
@@ -177,7 +177,7 @@ class Agenda(KeptState):
 class RunState(KeptState):
     """State of a run that guards read besides knowledge. The mutable state is what has a default."""
 
-    KEPT: ClassVar = ("origin", "has_begun", "now", "stop", "pause", "is_stepping", "ending", "settled", "adopted")
+    KEPT: ClassVar = ("origin", "has_begun", "now", "stop", "pause", "hands", "is_stepping", "ending", "settled", "adopted")
 
     engine: Engine
     index: MachineIndex
@@ -190,6 +190,8 @@ class RunState(KeptState):
     """The request to stop, if there was one."""
     pause: Pause | None = None
     """The request to pause, until the run is resumed."""
+    hands: tuple[str, ...] = ()
+    """The robots, and other objects and resources, that people have in their hands."""
     is_stepping: bool = False
     """Whether one call may send its request although the run is paused."""
     ending: bool = False
@@ -204,6 +206,10 @@ class RunState(KeptState):
     def __post_init__(self) -> None:
         self.marked_at = [self.now] * len(self.engine.tokens)
 
+    def restore(self, values: Mapping[str, Any]) -> None:
+        """Take a state back; that of an older journal knows of no hands."""
+        super().restore({"hands": (), **values})
+
     def begin(self) -> list[int]:
         """Begin the run; return the places that are marked at first, and at which something is decided."""
         if self.has_begun:
@@ -216,8 +222,8 @@ class RunState(KeptState):
             self.marked_at[place] = self.now
         return first
 
-    def follow(self, asked: Stop | Pause | Resume | SingleStep) -> None:
-        """Stop, pause or go on: a stop, and a pause, may become stricter, but never milder."""
+    def follow(self, asked: Stop | Pause | Resume | InHands | SingleStep) -> None:
+        """Stop, pause, go on, or leave to people what they have in their hands: a stop, and a pause, may become stricter, but never milder."""
         match asked:
             case Stop():
                 self.stop = asked if self.stop is None or asked.cancel else self.stop
@@ -225,6 +231,8 @@ class RunState(KeptState):
                 self.pause = Pause(at_once or self.suspends)
             case Resume():
                 self.pause = None
+            case InHands(names):
+                self.hands = names
             case SingleStep() if self.pause is not None:
                 self.pause, self.is_stepping = Pause(), True
             case SingleStep():

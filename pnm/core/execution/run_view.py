@@ -25,13 +25,14 @@ from pnm.core.machine.bindings import Bindings, WhenLost
 from pnm.core.machine.failure_causes import Cause
 from pnm.core.machine.machine import PetriNetMachine
 from pnm.core.machine.plan_graph import ActionCall
-from pnm.core.machine.requests import Accepted, Ended, Report
+from pnm.core.machine.requests import Accepted, CallOutcome, Ended, Report, TransitionAction
 from pnm.core.net.block_net import Engine
 from pnm.core.net.net import Marking
 from pnm.core.resources import Resources, RunClaims
 from pnm.errors import RunError
 
 _NONE: Final[Mapping[int, UnderWay]] = {}
+_TO_COME: Final = frozenset({CallOutcome.WAITING, CallOutcome.SUSPENDED})
 
 
 class RunView(KeptState):
@@ -207,6 +208,20 @@ class RunView(KeptState):
         return self._state.pause is not None and self._state.idle
 
     @property
+    def hands(self) -> tuple[str, ...]:
+        """The robots, and other objects and resources, that people have in their hands."""
+        return self._state.hands
+
+    @property
+    def needs_from_people(self) -> tuple[str, ...]:
+        """What calls need that are to begin, or to begin anew, and people have in their hands."""
+        if not self.hands or self.over:
+            return ()
+        to_come = [call.index for call in self.machine.plan.calls if self._results.current(call.index).kind in _TO_COME]
+        needed = (self._calls.named(one, TransitionAction.SEND, self._calls.context_of(one, None), self.hands) for one in to_come)
+        return tuple(dict.fromkeys(filter(None, needed)))
+
+    @property
     def listens(self) -> bool:
         """Whether a decision is pending that may be another one when facts have changed."""
         return self._agenda.listens
@@ -228,7 +243,8 @@ class RunView(KeptState):
     @property
     def awaits(self) -> bool:
         """Whether something is to come that may move it: the end of a request, an answer, a resource, or a time."""
-        return bool(self._calls.open or self._questions.asked or self._claims.waiting or self._agenda.awaits_time)
+        is_to_come = bool(self._calls.open or self._questions.asked or self._claims.waiting or self._agenda.awaits_time)
+        return is_to_come or bool(self.needs_from_people)
 
     @property
     def awaits_answers(self) -> bool:

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import re
 import string
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from enum import Enum
@@ -259,6 +259,17 @@ class Bindings:
             return ()
         patterns = (*action.resources, *self.of(action.name).resources)
         return tuple(dict.fromkeys(_filled(pattern, action, "resource") for pattern in patterns)) if patterns else ()
+
+    def named(self, action: GroundAction, names: Collection[str]) -> str:
+        """Return the first of these robots, objects and resources that the ground action needs; empty if it needs none of them.
+
+        It needs its arguments, its resources, and what a part of their names names: `r1` is part of ``r1/base``. Work on knowledge
+        needs nothing.
+        """
+        if action.operation is not None:
+            return ""
+        needed = (*action.arguments, *(part for name in self.resources(action) for part in (name, *name.split("/"))))
+        return next((name for name in needed if name in names), "")
 
     def names_server(self, action: GroundAction) -> bool:
         """Return whether the name of the server is known, or has a part that is only known when the call starts."""

@@ -15,7 +15,7 @@ from uuid import UUID
 
 from pnm.core.execution.call_data import intention
 from pnm.core.execution.call_results import CallResult
-from pnm.core.execution.events import Command, Event, KnowledgeChanged, Pause, Restarted, Resume, Send, SingleStep
+from pnm.core.execution.events import Command, Event, InHands, KnowledgeChanged, Pause, Restarted, Resume, Send, SingleStep
 from pnm.core.execution.handover import UnderWay
 from pnm.core.execution.questions import EvaluationContext
 from pnm.core.execution.reference import ReferenceRun
@@ -118,9 +118,10 @@ class HeldRun(AccompaniedRun):
 
 
 class Unrest(Chaos):
-    """A world that answers as it likes, in which facts change often, and people pause, step and resume."""
+    """A world that answers as it likes, in which facts change often, and people pause, step and resume, and take robots over."""
 
     pauses = 6
+    takes = 6
     has_stepped = False
     """Whether the last event was a step."""
 
@@ -134,6 +135,11 @@ class Unrest(Chaos):
         if self.run.pausing and (chance < 0.3 or not (self.queues or self.wake)):
             self.has_stepped = random.random() < 0.3
             return SingleStep() if self.has_stepped else Resume()
+        if self.run.hands and (chance < 0.35 or not (self.queues or self.wake)):
+            return InHands(tuple(name for name in self.run.hands if random.random() < 0.3) if self.queues or self.wake else ())
+        if self.takes and 0.05 <= chance < 0.1 and (names := self._names()):
+            self.takes -= 1
+            return InHands(tuple(dict.fromkeys((*self.run.hands, random.choice(names)))))
         if self.pauses and chance < 0.05:
             self.pauses -= 1
             return Pause(at_once=random.random() < 0.6)
@@ -141,6 +147,10 @@ class Unrest(Chaos):
             self.knowledge.world.update({random.choice([("powered",), ("free",)]): random.random() < 0.6})
             return KnowledgeChanged()
         return super()._next()
+
+    def _names(self) -> list[str]:
+        actions = [call.action for call in self.run.machine.plan.calls]
+        return sorted({name for action in actions for name in (*action.arguments, *self.run.bindings.resources(action))})
 
 
 SHORTENED = {("Calls", "_contexts"), ("RunState", "marked_at"), ("CallResults", "_answers")}

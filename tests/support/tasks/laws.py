@@ -28,7 +28,7 @@ def standing_still(tasks: Iterable[Task], quiet: Mapping[UUID, float]) -> Iterat
         quiet: the seconds for which nothing has happened to each.
     """
     begun = [task for task in tasks if task.control.has_begun and not task.is_held]
-    free = [task for task in begun if not (_live_requests(task) or task.control.awaits_help or _asks(task))]
+    free = [task for task in begun if not (_live_requests(task) or task.control.awaits_help or task.control.awaits_hands or _asks(task))]
     is_all_quiet = free == begun and all(quiet[task.id] > QUIET for task in free)
     for task in free:
         waits_for_others = task.control.is_paused or task.control.state is TaskState.QUEUED
