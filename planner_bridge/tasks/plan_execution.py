@@ -248,7 +248,7 @@ class PlanExecution(Observer):
             self.executor.resume()
 
     def look_again(self) -> None:
-        """Call for attention: people have taken something in hand, which the run knows, or have given it back, which it gets to know then."""
+        """Call for attention: people have taken something in hand, which the run knows, or have given it back, of which it hears then."""
         self._attention.set()
 
     def why_no_step(self) -> str:

@@ -223,7 +223,7 @@ class RunState(KeptState):
         return first
 
     def follow(self, asked: Stop | Pause | Resume | InHands | SingleStep) -> None:
-        """Stop, pause, go on, or leave to people what they have in their hands: a stop, and a pause, may become stricter, but never milder."""
+        """Stop, pause, go on, or leave to people what they have; a stop, and a pause, may become stricter, but never milder."""
         match asked:
             case Stop():
                 self.stop = asked if self.stop is None or asked.cancel else self.stop

@@ -31,6 +31,7 @@ def everything_needs(resource: str, **bindings: Binding) -> Settings:
 
 EAGER = Settings(on_change=OnChange.EAGER, on_failure=OnFailure.CONTINUE_OTHERS, limits=Limits(seconds=2000.0))
 USUAL = everything_needs("{r}")
+LAZY = replace(USUAL, on_change=OnChange.LAZY)
 
 
 class SlowPerson:

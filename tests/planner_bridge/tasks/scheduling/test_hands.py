@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 import asyncio
-from dataclasses import replace
+from pathlib import Path
 
 import pytest
 
-from planner_bridge.tasks.settings import OnChange
 from pnm.actions.faults import Fault, FaultKind, Faults
 from pnm.core.machine.bindings import Binding
 from pnm.tasks import TaskRefused, TaskState
-from tests.support.tasks.node import USUAL, carry, everything_needs, robots_of, simulated
+from tests.support.tasks.node import LAZY, USUAL, carry, everything_needs, robots_of, simulated
+from tests.support.tasks.scenarios.random_hands import run_hands
 from tests.support.tasks.simulation import TaskSimulation
-
-LAZY = replace(USUAL, on_change=OnChange.LAZY)
 
 
 def reason(simulation: TaskSimulation, task: object) -> str:
@@ -140,3 +138,8 @@ async def test_a_cancellation_that_is_not_confirmed_is_said(simulation: TaskSimu
     assert [hand.name for hand in simulation.master.hands()] == ["r0"]
     await simulation.master.give("r0")
     await simulation.until(lambda: task in simulation.endings)
+
+
+@pytest.mark.parametrize("number", range(2))
+def test_no_robot_that_a_person_has_begins_with_anything(number: int, tmp_path: Path):
+    assert run_hands(number, 12, tmp_path / "journal").begun
