@@ -4,13 +4,18 @@ from __future__ import annotations
 
 import asyncio
 from pathlib import Path
+from uuid import UUID
 
 import pytest
 
+from planner_bridge.tasks.task_manager import TaskManager
 from pnm.actions.faults import Fault, FaultKind, Faults
 from pnm.core.machine.bindings import Binding
-from pnm.tasks import TaskRefused, TaskState
+from pnm.journal import journal
+from pnm.tasks import Code, TaskRefused, TaskState, Wanted
+from tests.support.pddl.problems import fleet
 from tests.support.tasks.node import LAZY, USUAL, carry, everything_needs, robots_of, simulated
+from tests.support.tasks.scenarios.crash import Survival, survive
 from tests.support.tasks.scenarios.random_hands import run_hands
 from tests.support.tasks.simulation import TaskSimulation
 
@@ -100,7 +105,7 @@ async def test_what_cannot_be_is_refused_with_a_reason(simulation: TaskSimulatio
     with pytest.raises(TaskRefused, match="r0 is in nobody's hands"):
         await simulation.master.give("r0")
     await simulation.master.take("r0", by="ada")
-    with pytest.raises(TaskRefused, match="r0 is in the hands of ada since .*; it has to be given back first"):
+    with pytest.raises(TaskRefused, match=r"r0 is in the hands of ada since .*; it has to be given back first"):
         await simulation.master.take("r0")
     with pytest.raises(TaskRefused, match="did you mean 'r1'"):
         await simulation.master.give("r11")
@@ -143,3 +148,36 @@ async def test_a_cancellation_that_is_not_confirmed_is_said(simulation: TaskSimu
 @pytest.mark.parametrize("number", range(2))
 def test_no_robot_that_a_person_has_begins_with_anything(number: int, tmp_path: Path):
     assert run_hands(number, 12, tmp_path / "journal").begun
+
+
+@pytest.mark.parametrize(("commit", "longer"), [(commit, (1, 1000)[commit % 2]) for commit in range(8, 32, 3)])
+def test_a_robot_stays_with_the_person_when_processes_die(commit: int, longer: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(journal, "_LONGER", longer)
+    monkeypatch.setattr(journal, "_SHARE", 0)
+    since: list[float] = []
+    """When it was taken, once that was answered."""
+    told: list[int] = []
+    """How many requests the robots had begun with then."""
+
+    async def people(manager: TaskManager, survival: Survival) -> None:
+        now = asyncio.get_running_loop().time
+        if now() > 100.0:
+            return
+        if not since:
+            await asyncio.sleep(1.0)
+            if not manager.hands():  # else the process has died before it could answer
+                await manager.take("r0", reason="stuck")
+            since.append(manager.hands()[0].since)
+            told.append(len(survival.told))
+        assert [(hand.name, hand.reason, hand.since) for hand in manager.hands()] == [("r0", "stuck", since[0])]
+        await asyncio.sleep(max(0.0, 99.0 - now()))
+        assert not [str(action) for _, action in survival.told[told[0] :] if "r0" in action.arguments]
+        await asyncio.sleep(2.0)
+        await manager.give("r0")
+
+    goals = ("(at r0 a2)", "(in p1 a3)")
+    tasks = [Wanted(UUID(int=number + 1), goal) for number, goal in enumerate(goals)]
+    survival = survive(fleet(), tasks, USUAL, tmp_path / "journal", [commit] * 4, people=people)
+    assert not survival.wrong, survival.wrong
+    assert {ending.code for ending in survival.endings.values()} == {Code.GOAL_REACHED}
+    assert survival.deaths

@@ -5,12 +5,12 @@ from __future__ import annotations
 import asyncio
 import random
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Coroutine, Mapping, Sequence
 from contextvars import Context
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
-from typing import Final
+from typing import Final, TypeAlias
 from uuid import UUID
 
 from planner_bridge.model.grounding import initial_knowledge
@@ -97,6 +97,9 @@ class Survival(TaskListener):
         self.news.set()
 
 
+People: TypeAlias = Callable[[TaskManager, Survival], Coroutine[None, None, None]]
+
+
 @dataclass(frozen=True)
 class Deployment:
     """What processes are started with, one after the other."""
@@ -112,6 +115,7 @@ class Deployment:
     in_turn: bool
     person: Source | None
     wall: Callable[[], float] | None
+    people: People | None = None
 
     async def process(self, process: Process, plan: DiskPlan) -> None:
         """Go on with what is in the journal until everything is over."""
@@ -133,6 +137,7 @@ class Deployment:
         if replay:
             manager.restore(replay)
             survival.endings |= {id: task.ending for id, task in replay.tasks.items() if task.ending is not None}
+        beside = asyncio.ensure_future(self.people(manager, survival)) if self.people else None
         new = [wanted for wanted in self.tasks if not (replay and wanted.id in replay.tasks)]  # whose clients ask again
         begun = {wanted.id for wanted in self.tasks} - {wanted.id for wanted in new}
         while not {wanted.id for wanted in self.tasks} <= survival.endings.keys():
@@ -141,6 +146,8 @@ class Deployment:
                 begun.add(new[0].id)
                 manager.begin(new.pop(0))
             await survival.news.wait()
+        if beside is not None:
+            await beside
         await manager.close()
         journal.close()
         story.beliefs = knowledge
@@ -160,11 +167,13 @@ def survive(
     in_turn: bool = False,
     person: Source | None = None,
     wall: Callable[[], float] | None = None,
+    people: People | None = None,
 ) -> Survival:
     """Carry out tasks in processes that die as they are told, one after the other, and in one more that does not.
 
     A number is that of the commit, from the birth of its process, after which a process dies.
     Tasks in turn are begun when those before them are over. The person is asked by plans, and for help. `wall` returns the time of day.
+    `people` do in each process what they want of its tasks.
     """
     survival = Survival()
     files = Folder(journal)
@@ -174,7 +183,7 @@ def survive(
         robots = simulated_backend(problem, settings.bindings, faults).robots
         fleet = Fleet(robots, loop, random.Random(0), survival.story, weather or Weather())
         fleet.carried_out = survival.told
-        deployment = Deployment(problem, tasks, settings, programs or {}, limits, files, fleet, survival, in_turn, person, wall)
+        deployment = Deployment(problem, tasks, settings, programs or {}, limits, files, fleet, survival, in_turn, person, wall, people)
         async with asyncio.timeout(LIMIT):
             for plan in (*plans, DiskPlan()):
                 process = Process(loop, f"p{survival.deaths}", lambda error: survival.wrong.append(f"{type(error).__name__}: {error}"))
