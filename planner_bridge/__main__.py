@@ -12,7 +12,7 @@ UNTOLD = {
     "odds": '"chance": null, "alone": null, "with_new_plans": null',
     "check": '"ready": null, "rows": null',
     "why": '"answers": null',
-    "status": '"paused": null, "tasks": null',
+    "status": '"paused": null, "hands": null, "tasks": null',
     "facts": "",
 }
 """The JSON of each command that was cancelled, beside the reason: its own keys, null for what it has not found out. `pnm replay` and

@@ -324,6 +324,16 @@ class TaskCommands(Protocol):
     async def cancel(self, task: UUID | None, /) -> None:
         """End it; return when what was under way has confirmed that, or the limit for it has passed."""
 
+    async def take(self, name: str, /, *, reason: str = "", by: str = "") -> str:
+        """Leave a robot, or another object or resource, to a person: what needs it is cancelled, and nothing more is sent to it.
+
+        Returns when that is confirmed, or the limit for it has passed: then what may still be at work, in words. Raises `TaskRefused`
+        for a name that nothing has, and if a person has it already.
+        """
+
+    async def give(self, name: str, /) -> None:
+        """Use again what a person has had, with what sensors say by then; raise `TaskRefused` if nobody has it."""
+
 
 class Tasks(TaskCommands, Protocol):
     """A task manager: carries out several tasks at once."""
@@ -336,16 +346,6 @@ class Tasks(TaskCommands, Protocol):
 
     async def cancel(self, task: UUID | None, /, *, why: str = "cancelled on request") -> None:
         """Cancel, for a reason for people."""
-
-    async def take(self, name: str, /, *, reason: str = "", by: str = "") -> str:
-        """Leave a robot, or another object or resource, to a person: what needs it is cancelled, and nothing more is sent to it.
-
-        Returns when that is confirmed, or the limit for it has passed: then what may still be at work, in words. Raises `TaskRefused`
-        for a name that nothing has, and if a person has it already.
-        """
-
-    async def give(self, name: str, /) -> None:
-        """Use again what a person has had, with what sensors say by then; raise `TaskRefused` if nobody has it."""
 
     def hands(self) -> tuple[Hand, ...]:
         """Return what people have in their hands."""

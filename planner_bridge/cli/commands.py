@@ -26,6 +26,7 @@ ELSEWHERE: Final = {
     "check": ("robot", "Check servers and sensors in the ROS graph."),
     "export": ("convert", "Write a domain, a problem and a plan as YAML."),
     "facts": ("running_node", "Print or change the facts of the node."),
+    "give": ("running_node", "Give a robot back that you have taken over."),
     "goal": ("running_node", "Send a goal, and follow it to its end."),
     "history": ("journal", "List the tasks of a journal."),
     "import": ("convert", "Write a domain in YAML as PDDL."),
@@ -40,6 +41,7 @@ ELSEWHERE: Final = {
     "schema": ("convert", "Write the JSON Schema of YAML files, for editors."),
     "serve": ("running_node", "Take goals over ROS 2 until interrupted."),
     "status": ("running_node", "Show the tasks of the node."),
+    "take": ("running_node", "Take a robot over: nothing is sent to it."),
     "watch": ("running_node", "Follow the tasks of the node until interrupted."),
     "why": ("why", "Explain a plan, or why there is none, or a run."),
 }

@@ -7,6 +7,7 @@ import sys
 from collections.abc import Awaitable, Callable
 from contextlib import closing, suppress
 from dataclasses import dataclass, field
+from getpass import getuser
 from math import inf
 from pathlib import Path
 from time import monotonic
@@ -25,6 +26,7 @@ from planner_bridge.cli.options import command
 from planner_bridge.node.options import PARAMETERS
 from pnm.clock import run_async
 from pnm.core.machine.requests import OutcomeKind
+from pnm.core.resources import Hand
 from pnm.errors import InputError, PnmError
 from pnm.files.database.place import place_of
 from pnm.files.yaml_nodes import load_yaml
@@ -142,13 +144,17 @@ class EventPrinter:
 def status(namespace: str, as_json: bool) -> int:
     """Show the tasks of the node.
 
-    Lists running and waiting tasks, and those that ended last.
+    Lists running and waiting tasks, and those that ended last; and what people have in their hands.
     """
-    message = _with_node(namespace, lambda node: node.status())
+
+    async def ask(node: NodeClient) -> tuple[Any, list[dict[str, Any]]]:
+        return await node.status(), await node.hands()
+
+    message, hands = _with_node(namespace, ask)
     if as_json:
-        options.print_json({"paused": message.paused, "tasks": [_task_data(task) for task in message.tasks]})
+        options.print_json({"paused": message.paused, "hands": hands, "tasks": [_task_data(task) for task in message.tasks]})
     else:
-        _print_status(SafeConsole(), message)
+        _print_status(SafeConsole(), message, hands)
     return 0
 
 
@@ -165,7 +171,7 @@ def watch(namespace: str) -> int:
     async def show(node: NodeClient) -> None:
         async with node.hearing(*_TRACE) as heard:
             status = await node.status()
-            _print_status(console, status)
+            _print_status(console, status, await node.hands())
             with closing(EventPrinter(console, TaskBoard.of(status))) as printer, suppress(asyncio.CancelledError):  # which is how it ends
                 while True:
                     event = event_of(await heard.get())
@@ -286,6 +292,37 @@ def cancel(task: str, every: bool, namespace: str) -> int:
     return _command("cancel", "cancelled", task, every=every, namespace=namespace)
 
 
+@click.command(epilog="Example: pnm take r1 --reason 'the gripper is stuck'")
+@click.argument("robot")
+@click.option("--reason", default="", help="why, for everybody who reads the status of the node")
+@click.option("--by", default="", help="who takes it; by default the name of the user")
+@namespace_option
+@command
+def take(robot: str, reason: str, by: str, namespace: str) -> int:
+    """Take a robot over: nothing is sent to it.
+
+    ROBOT is the name of a robot, or of another object or resource. What needs it is cancelled; tasks go on without it, or wait.
+    The command ends when the robot has confirmed that it stops. Exit status 1: it has not, and may still move.
+    """
+    said = _with_node(namespace, lambda node: node.put(robot, {"by": by or getuser(), "reason": reason}))
+    print(f"{robot}: taken{f'; {said}' if said else ', and at rest'}")
+    return 1 if said else 0
+
+
+@click.command(epilog="Example: pnm give r1")
+@click.argument("robot")
+@namespace_option
+@command
+def give(robot: str, namespace: str) -> int:
+    """Give a robot back that you have taken over.
+
+    What sensors are asked for is asked for anew. Tasks go on with their plans if these still work, otherwise with new ones.
+    """
+    _with_node(namespace, lambda node: node.put(robot, None))
+    print(f"{robot}: given back")
+    return 0
+
+
 @click.command(epilog="Example: pnm facts '(at r1 hall)' --add '(open door)'")
 @click.argument("questions", nargs=-1)
 @click.option("--add", multiple=True, metavar="FACT", help="record as true: '(at r1 hall)', '(= (battery r1) 0.8)'")
@@ -343,9 +380,11 @@ def _command(name: str, done: str, prefix: str, *, every: bool, namespace: str, 
     return 0
 
 
-def _print_status(console: SafeConsole, message: Any) -> None:
+def _print_status(console: SafeConsole, message: Any, hands: list[dict[str, Any]]) -> None:
     if message.paused:
         console.print("paused: nothing is started")
+    for hand in hands:
+        console.print_text(str(Hand(**hand)))
     if not message.tasks:
         console.print("no tasks")
         return

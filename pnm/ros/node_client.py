@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import json
 import os
 from collections.abc import AsyncIterator, Mapping
 from contextlib import asynccontextmanager
@@ -57,6 +58,17 @@ class NodeClient:
         if not fitting:
             raise InputError(f"no task has an id that begins with {prefix!r}; there are {known}")
         raise InputError(f"expected the beginning of the id of one task, or --all; there are {known}")
+
+    async def hands(self) -> list[dict[str, Any]]:
+        """Return what people have in their hands, each with its name, since when, by whom and why."""
+        answer = await self.ask("pnm_interfaces/srv/QueryKnowledge", "executor/hands/query", {})
+        return list(json.loads(answer.value))
+
+    async def put(self, name: str, said: Mapping[str, str] | None) -> str:
+        """Take a robot over, saying by whom and why, or give it back for None; return what may still be at work, in words."""
+        fields = {"goal_id": uuid4(), "name": name, "value": json.dumps(said)}  # by the id, a request that is repeated counts once
+        answer = await self.ask("pnm_interfaces/srv/UpdateKnowledge", "executor/hands/update", fields, ENDING)
+        return str(answer.message)
 
     async def command(self, command: str, task: UUID | None, **fields: object) -> None:
         """Pause, resume or cancel a task, or all; raise a `RosError` with the node's reason if it does not."""

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import asyncio
+import json
 import logging
 from collections.abc import Callable, Collection, Iterable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from functools import partial
 from typing import Any, Final
 from uuid import UUID
@@ -49,14 +50,18 @@ from pnm.tasks import (
 )
 
 _log = logging.getLogger(__name__)
+_SAID: Final = ("by", "reason")
+"""What a person may say who takes a robot over."""
+_ASKED: Final = 20
+"""So many requests of people are known who take robots over or give them back: one that is repeated is not carried out twice."""
 
 
 class TaskNode:
     """Offers tasks over ROS 2. Goals are accepted between `activate` and `deactivate`.
 
-    The mutable state is why goals are rejected, whether a client has paused all tasks or which of them, and whether
-    `deactivate` has paused them. `plans` have an action server of their own, with this full name; `kept` are the tasks of another
-    process, whose clients are still waiting.
+    The mutable state is why goals are rejected, whether a client has paused all tasks or which of them, whether `deactivate` has paused
+    them, and the last requests of people who take robots over or give them back. `plans` have an action server of their own, with
+    this full name; `kept` are the tasks of another process, whose clients are still waiting.
     """
 
     def __init__(
@@ -69,6 +74,7 @@ class TaskNode:
         self._is_paused = False
         self._paused: set[UUID] = set()
         self._is_deactivated = False
+        self._hands: dict[UUID, asyncio.Task[Fields]] = {}
         self._servers = TaskServers(ros, tasks, plans or {}, lambda: self._closed, kept)
         self._planning = PlanningServer(ros, world, lambda: self._closed)
         self._topics = TaskTopics(ros, tasks, world, lambda: self._is_paused)
@@ -85,6 +91,8 @@ class TaskNode:
                 "executor/pause": ("pnm_interfaces/srv/PauseTask", lambda request: self.pause(_id(request.task), at_once=request.at_once)),
                 "executor/resume": ("pnm_interfaces/srv/ResumeTask", lambda request: self.resume(_id(request.task))),
                 "executor/cancel": ("pnm_interfaces/srv/CancelTask", lambda request: self.cancel(_id(request.task))),
+                "executor/hands/query": ("pnm_interfaces/srv/QueryKnowledge", self._query_hands),
+                "executor/hands/update": ("pnm_interfaces/srv/UpdateKnowledge", self._update_hands),
                 "knowledge/query": ("pnm_interfaces/srv/QueryFacts", self._query),
                 "knowledge/update": ("pnm_interfaces/srv/UpdateFacts", self._update),
                 "problem/get": ("pnm_interfaces/srv/GetProblem", self._get),
@@ -167,7 +175,39 @@ class TaskNode:
         self._servers.note_cancel(task)
         await self._tasks.cancel(task)
 
+    async def take(self, name: str, /, *, reason: str = "", by: str = "") -> str:
+        """Leave something to a person, also while the node is inactive."""
+        return await self._tasks.take(name, reason=reason, by=by)
+
+    async def give(self, name: str, /) -> None:
+        """Use again what a person has had."""
+        await self._tasks.give(name)
+
     # the services
+
+    async def _query_hands(self, request: Any) -> Fields:
+        hands = [asdict(hand) for hand in self._tasks.hands() if request.name in ("", hand.name)]
+        return {"found": bool(hands), "value": json.dumps(hands)}
+
+    async def _update_hands(self, request: Any) -> Fields:
+        """Take or give once, however often the request arrives: its client repeats it until it is answered."""
+        asked = UUID(bytes=bytes(request.goal_id.uuid))
+        if not asked.int or (work := self._hands.get(asked)) is None:
+            work = asyncio.ensure_future(self._put(request.name, request.value))
+            self._hands = dict([*self._hands.items(), (asked, work)][-_ASKED:])
+        return await asyncio.shield(work)
+
+    async def _put(self, name: str, value: str) -> Fields:
+        try:
+            said = json.loads(value or "{}")
+        except ValueError as error:
+            raise InputError(f"value: no JSON: {error}") from error
+        if said is None:
+            await self.give(name)
+            return {}
+        if not isinstance(said, dict) or said.keys() - _SAID or not all(isinstance(text, str) for text in said.values()):
+            raise InputError(f"value: expected null, or texts under {' and '.join(_SAID)}; found {value[:100]}")
+        return {"message": await self.take(name, **said)}
 
     async def _query(self, request: Any) -> Fields:
         answers = await self._world.query(request.questions)
