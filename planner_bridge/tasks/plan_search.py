@@ -275,9 +275,12 @@ class PlanSearch:
         try:
             while True:
                 changed.clear()
+                hands = self._context.runner.hands.changes
                 try:
                     return await search()
                 except NoPlan as no_plan:
+                    if hands != self._context.runner.hands.changes:  # it was searched for without what has been given back
+                        continue
                     began = loop.time() if began is None else began
                     longer = _ELSEWHERE if no_plan.busy else _RETURN if no_plan.awaits else 0.0
                     until = inf if no_plan.hands else began + max(patience, longer)
