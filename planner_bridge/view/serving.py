@@ -105,9 +105,9 @@ def _task(data: Mapping[str, object]) -> UUID | None:
     return _id(data, "task") if data.get("task") else None
 
 
-_COMMANDS: Final = ("check", "why", "goal", "pause", "resume", "cancel", "step", "settle", "tell", "answer")
+_COMMANDS: Final = ("check", "why", "goal", "pause", "resume", "cancel", "take", "give", "step", "settle", "tell", "answer")
 """The values of ``do``."""
-_CONFIRMED: Final = ("pause", "resume", "cancel", "step")
+_CONFIRMED: Final = ("pause", "resume", "cancel", "take", "give", "step")
 """Those that robots have to confirm."""
 
 # --- place ----------------------------------------------------------------------------------------
@@ -209,6 +209,10 @@ class Operator:
                 await self._commands.resume(_task(data))
             case "cancel":
                 await self._commands.cancel(_task(data))
+            case "take":  # what may still be at work is said as what is refused
+                return Reply(await self._commands.take(_text(data, "name"), reason=_text(data, "reason")))
+            case "give":
+                await self._commands.give(_text(data, "name"))
             case "step":
                 await self._tasks.step(_id(data, "task"))
             case "settle":

@@ -61,6 +61,7 @@ class View:
         problem: why no more can be shown; empty if all is well.
         clock: the time of day, in seconds, when that clock was 0; None if it is not known.
         calls: by run and number.
+        hands: by name, the robots and other things that people have in their hands.
         troubles: by record, and their number in it.
         events: by record: the last ones, and all that are marked.
     """
@@ -78,6 +79,7 @@ class View:
     facts: Mapping[str, Thing] = field(default_factory=dict)
     servers: Mapping[str, Thing] = field(default_factory=dict)
     questions: Mapping[str, Thing] = field(default_factory=dict)
+    hands: Mapping[str, Thing] = field(default_factory=dict)
     troubles: Mapping[str, Thing] = field(default_factory=dict)
     events: Mapping[str, Thing] = field(default_factory=dict)
 
@@ -273,6 +275,7 @@ def view_of(story: Story) -> View:
         story.facts,
         _servers(story),
         story.questions,
+        {name: {"words": str(hand)} for name, hand in story.replay.hands.taken.items()},
         {key: story.once(key, trouble, partial(_trouble, run, trouble)) for key, (run, trouble) in troubles.items()},
         {str(number): event for number, event in story.events.items()},
     )

@@ -99,6 +99,12 @@ export function requestButtons(id, request) {
     ["✓ It is done", "have it count as done", settle("done", true)], ["✕ It has failed", "have it count as failed", settle("failed", false)]]);
 }
 
+export function giveButton(name) {
+  if (!hasControls()) return "";
+  return buttonsOf(`hand ${name}`, `commands for ${name}`, [
+    ["▶ Give back", "have tasks use it again, from what sensors say then", () => wanted({ do: "give", name }, `${name} is given back`)]]);
+}
+
 // --- why ---
 
 // Shows whether a goal can be reached from what is so now: a plan for it, or why there is none and what would help.
@@ -205,6 +211,13 @@ document.getElementById("fact-form").addEventListener("submit", async (event) =>
   const how = document.getElementById("fact-how").value;
   const told = { add: [], remove: [], forget: [], [how]: [fact.value] };
   if (await wanted({ do: "tell", ...told }, `told: ${fact.value} ${{ add: "is so", remove: "is not so", forget: "is unknown" }[how]}`)) fact.value = "";
+});
+const robot = document.getElementById("robot");
+const robotReason = document.getElementById("robot-reason");
+document.getElementById("robot-form").addEventListener("submit", async (event) => {
+  event.preventDefault();
+  const name = robot.value.trim();
+  if (await wanted({ do: "take", name, reason: robotReason.value }, `${name} is taken over, what it does is cancelled`)) robot.value = robotReason.value = "";
 });
 document.getElementById("pause-all").addEventListener("click", () => wanted({ do: "pause" }, "all tasks pause, those to come as well"));
 document.getElementById("resume-all").addEventListener("click", () => wanted({ do: "resume" }, "all tasks go on"));

@@ -1,6 +1,6 @@
 // The state that is shown: parts with things by key, as the server tells them. A frame changes it.
 
-export const PARTS = ["tasks", "runs", "calls", "requests", "facts", "servers", "questions", "troubles", "events"];
+export const PARTS = ["tasks", "runs", "calls", "requests", "facts", "servers", "questions", "hands", "troubles", "events"];
 
 export function nothing() {
   const model = { number: 0, time: 0, began: 0, first: 0, problem: "", clock: null, journal: "", heard: null };

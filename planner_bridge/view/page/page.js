@@ -133,7 +133,7 @@ function drawn() {
   const has = (...parts) => parts.some((part) => dirty.has(part));
   const run = currentRun(model);
   const call = currentCall(model);
-  if (has("tasks", "troubles", "questions", "runs")) showTasks(model, !past);
+  if (has("tasks", "troubles", "questions", "hands", "runs")) showTasks(model, !past);
   if (has("requests", "calls", "runs", "tasks", "time")) showTimeline(model, call, choose);
   if (has("runs", "tasks")) showRunChoice(model, run);
   if (has("runs", "tasks", "calls")) {

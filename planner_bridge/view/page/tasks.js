@@ -1,6 +1,6 @@
 // What needs me now: what failed and why, questions to people, and the tasks.
 
-import { answerForm, taskButtons, whyNoPlan } from "./controls.js";
+import { answerForm, giveButton, taskButtons, whyNoPlan } from "./controls.js";
 import { timeNow } from "./model.js";
 import { clock, el, keepingFocus, seconds, state, words } from "./words.js";
 
@@ -72,7 +72,7 @@ function runDown() {
 }
 setInterval(runDown, 500);
 
-// What people may have to do something about: questions, and troubles that nothing has followed yet.
+// What people may have to do something about: questions, robots in their hands, and troubles that nothing has followed yet.
 function showNeeds(model, tasks, isNow) {
   const questions = [...model.questions].map(([id, question]) => questionOf(model, isNow, id, question));
   const troubles = [...model.troubles.values()].sort((a, b) => b.time - a.time);
@@ -80,7 +80,9 @@ function showNeeds(model, tasks, isNow) {
   const before = troubles.filter((trouble) => !isOpen(trouble));
   const place = document.getElementById("needs");
   const wasOpen = place.querySelector("details")?.open;
-  const needs = [...questions, ...troubles.filter(isOpen).map((trouble) => troubleOf(model, trouble, true))];
+  const hands = [...model.hands].map(([name, hand]) => el("div", { class: "need asks", "data-hand": name },
+    el("p", {}, el("strong", {}, `‖ ${hand.words}`), " ", isNow ? giveButton(name) : "")));
+  const needs = [...questions, ...hands, ...troubles.filter(isOpen).map((trouble) => troubleOf(model, trouble, true))];
   place.replaceChildren(...(needs.length || !tasks.length ? needs : [el("p", { class: "soft" }, "nothing")]));
   if (before.length) {
     const more = el("details", {}, el("summary", {}, `${before.length} ${before.length > 1 ? "troubles" : "trouble"} before, and what followed`),

@@ -14,7 +14,19 @@ from planner_bridge.view.story import Story, Thing, View, detail, timelines, vie
 from pnm.core.execution.events import Begin
 from pnm.core.logic.expressions import UNKNOWN
 from pnm.core.machine.requests import Ended, OutcomeKind
-from pnm.journal.records import WORLD, Happened, KnowledgeBegan, KnowledgeDelta, RunMade, SharedBegan, TaskAccepted, TaskNoted, TaskOver
+from pnm.core.resources import Hand
+from pnm.journal.records import (
+    WORLD,
+    HandPut,
+    Happened,
+    KnowledgeBegan,
+    KnowledgeDelta,
+    RunMade,
+    SharedBegan,
+    TaskAccepted,
+    TaskNoted,
+    TaskOver,
+)
 from pnm.journal.replay import ReplayStep
 from pnm.knowledge.people import HelpAsked, HelpEnded
 from pnm.tasks import Wanted
@@ -195,3 +207,14 @@ def test_a_plan_by_hand_has_lanes_by_what_its_actions_have_for_themselves(tmp_pa
     (timeline,) = timelines(tmp_path / "j")
     assert [(call.name, call.lane) for call in timeline.plans[0].calls] == [("say(Hello you)", "voice"), ("point(hall)", "r1")]
     assert all(attempt.outcome is OutcomeKind.SUCCEEDED for call in timeline.plans[0].calls for attempt in call.attempts)
+
+
+def test_what_people_have_in_their_hands_is_shown_until_it_is_given_back() -> None:
+    story, hand = Story(), Hand("r1", 0.0, "stuck", "ada")
+    for number, record in enumerate((SharedBegan({}), KnowledgeBegan(WORLD, {}), HandPut(hand, is_taken=True)), 1):
+        story.apply(number, 0.0, record)
+    assert view_of(story).hands == {"r1": {"words": str(hand)}}
+    assert "r1 is in the hands of ada since " in view_of(story).hands["r1"]["words"]
+    story.apply(4, 1.0, HandPut(hand, is_taken=False))
+    assert not view_of(story).hands
+    assert [event["lines"] for event in view_of(story).events.values()][-1] == ("r1 is given back",)

@@ -25,6 +25,8 @@ SERVICES = {
     "executor/pause": "PauseTask",
     "executor/resume": "ResumeTask",
     "executor/cancel": "CancelTask",
+    "executor/hands/query": "QueryKnowledge",
+    "executor/hands/update": "UpdateKnowledge",
     "knowledge/query": "QueryFacts",
     "knowledge/update": "UpdateFacts",
     "problem/get": "GetProblem",

@@ -24,6 +24,7 @@ from pnm.core.machine.failure_causes import Cause
 from pnm.core.machine.generate import generate
 from pnm.core.machine.machine import PetriNetMachine
 from pnm.core.net.net import Marking
+from pnm.core.resources import Hand
 from pnm.errors import InputError, Position
 from pnm.knowledge.people import read_answer
 from pnm.tasks import (
@@ -66,6 +67,7 @@ class FakeTasks:
     settings: Settings = DEFAULTS
     said: list[tuple[object, ...]] = field(default_factory=list)
     """What an operator has said besides."""
+    in_hands: list[Hand] = field(default_factory=list)
     _before: dict[UUID, TaskState] = field(default_factory=dict)
     _traces: dict[UUID, list[TraceEvent]] = field(default_factory=dict)
 
@@ -107,6 +109,18 @@ class FakeTasks:
 
     async def cancel(self, task: UUID | None, /, *, why: str = "") -> None:
         await asyncio.gather(*map(self._cancel, self._meant(task)))
+
+    async def take(self, name: str, /, *, reason: str = "", by: str = "") -> str:
+        if any(hand.name == name for hand in self.in_hands):
+            raise TaskRefused(f"{name} is taken")
+        self.in_hands.append(Hand(name, 100.0, reason, by))
+        return "it may still move" if name == "stubborn" else ""
+
+    async def give(self, name: str, /) -> None:
+        self.in_hands = [hand for hand in self.in_hands if hand.name != name]
+
+    def hands(self) -> tuple[Hand, ...]:
+        return tuple(self.in_hands)
 
     async def step(self, task: UUID, /) -> None:
         self._said("step", *self._meant(task))

@@ -90,9 +90,14 @@ def test_what_a_person_says_reaches_the_tasks_and_the_world() -> None:
         {"do": "settle", "request": id.hex, "is_done": False},
         {"do": "answer", "question": id.hex, "text": "the kitchen"},
         {"do": "tell", "add": ["(at r1 hall)"]},
+        {"do": "take", "name": "r1", "reason": "stuck"},
+        {"do": "take", "name": "r2"},
+        {"do": "give", "name": "r2"},
         {"do": "cancel", "task": task.hex},
     )
     assert (set(said), task in tasks.open) == ({""}, False)
+    assert [(hand.name, hand.reason) for hand in tasks.in_hands] == [("r1", "stuck")]
+    assert replies(tasks, world, {"do": "take", "name": "r1"}, {"do": "take", "name": "stubborn"}) == ["r1 is taken", "it may still move"]
     assert tasks.said == [("step", task), ("settle", id, True), ("settle", id, False), ("answer", id, "the kitchen")]
     assert world.knowledge.facts() == {("at", "r1", "hall"): True}
 

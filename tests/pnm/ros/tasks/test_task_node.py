@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import json
 from uuid import UUID, uuid4
 
 from pnm.tasks import Code
@@ -92,6 +93,24 @@ async def test_requests_about_tasks_that_are_unknown_or_not_paused_are_refused(o
     ):
         answer = await one.client.call(f"executor/{service}", task=id)
         assert answer == {"success": False, "message": said.format(id)}
+
+
+async def test_a_person_takes_a_robot_over_and_gives_it_back(one):
+    async def put(name: str, value: object, id: UUID | None = None) -> tuple[bool, str]:
+        answer = await one.client.call("executor/hands/update", goal_id=id or uuid4(), name=name, value=json.dumps(value))
+        return answer["success"], answer["message"]
+
+    id = uuid4()
+    assert await put("r1", {"by": "ada", "reason": "stuck"}, id) == (True, "")
+    assert await put("r1", {"by": "ada", "reason": "stuck"}, id) == (True, ""), "it is the same request"
+    assert await put("r1", {}) == (False, "r1 is taken")
+    assert await put("stubborn", {}) == (True, "it may still move")
+    assert await put("r2", {"since": "now"}) == (False, 'value: expected null, or texts under by and reason; found {"since": "now"}')
+    told = json.loads((await one.client.call("executor/hands/query"))["value"])
+    assert told[0] == {"name": "r1", "since": 100.0, "reason": "stuck", "by": "ada"}
+    assert [hand["name"] for hand in told] == ["r1", "stubborn"]
+    assert await put("r1", None) == (True, "")
+    assert not (await one.client.call("executor/hands/query", name="r1"))["found"]
 
 
 async def test_a_client_that_disappears_leaves_its_goal_behind(one, two):
