@@ -147,7 +147,7 @@ class TaskClient:
             self._actions[action] = StockClient(self._ros, kind, action)
             await asyncio.wait_for(self._actions[action].met(), LIMIT)
 
-    async def call(self, name: str, type_name: str = "", **request: object) -> dict[str, Any]:
+    async def call(self, name: str, type_name: str = "", /, **request: object) -> dict[str, Any]:
         if name not in self._services:
             self._services[name] = ServiceClient(self._ros, type_name or f"pnm_interfaces/srv/{SERVICES[name]}", name)
         return to_data(await self._services[name].call(request, LIMIT))
