@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import pytest
 
-from pnm.core.execution.events import Answered, Ask, Begin, KnowledgeChanged, Pause, Resume, Send, SingleStep, Stop, Tick
+from pnm.core.execution.events import Answered, Ask, Begin, InHands, KnowledgeChanged, Pause, Resume, Send, SingleStep, Stop, Tick
 from pnm.core.execution.run import Run
 from pnm.core.knowledge_base import KnowledgeBase, Layered
 from pnm.core.logic.effects import Set
@@ -259,3 +259,25 @@ def test_a_step_takes_resources_for_its_call_alone_and_leaves_no_claim_in_line()
     assert sent(run.handle(Ended(run.open_requests[0], SUCCEEDED), 3.0)) == []
     assert [*run.resources.held] == []
     assert sent(run.handle(SingleStep(), 4.0)) == ["a1"]
+
+
+def test_calls_that_need_what_a_person_has_begin_anew_when_it_is_given_back_and_others_go_on() -> None:
+    bindings = Bindings({"a0": Binding(resources=("r1/base",), retries=0), "a1": Binding(retries=0)})
+    run = Run(generate(plan(2), bindings), Layered(KnowledgeBase()), id=RUN, bindings=bindings)
+    assert sent(run.handle(Begin(), 0.0)) == ["a0", "a1"]
+    taken, other = run.open_requests
+    for request in run.open_requests:
+        run.handle(Accepted(request), 0.0)
+    assert cancelled(run.handle(InHands(("r1",)), 1.0)) == [taken]
+    assert run.handle(Ended(taken, CANCELED), 2.0) == []
+    assert run.needs_from_people == ("r1",)
+    assert run.awaits
+    run.handle(Pause(), 3.0)
+    assert run.handle(SingleStep(), 4.0) == [], "a step is no reason to use it"
+    run.handle(Resume(), 5.0)
+    run.handle(Ended(other, SUCCEEDED), 6.0)
+    assert not run.over
+    assert sent(run.handle(InHands(), 7.0)) == ["a0"]
+    (again,) = run.open_requests
+    run.handle(Ended(again, SUCCEEDED), 8.0)
+    assert run.over
