@@ -119,6 +119,7 @@ class PlanTask:
                 await context.runner.backend.refresh()
             context.observer.generated(program.machine, program.proof)
             context.control.enter(TaskState.RUNNING)
+            self.look_again()
             origin = plan_run.executor.run.origin  # of a run with which another process has begun
             began = asyncio.get_running_loop().time() if origin is None else origin
             context.observer.began(began)

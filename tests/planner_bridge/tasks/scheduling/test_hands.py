@@ -181,3 +181,14 @@ def test_a_robot_stays_with_the_person_when_processes_die(commit: int, longer: i
     assert not survival.wrong, survival.wrong
     assert {ending.code for ending in survival.endings.values()} == {Code.GOAL_REACHED}
     assert survival.deaths
+
+
+@simulated()
+async def test_a_plan_by_hand_waits_for_the_robot(simulation: TaskSimulation):
+    task = await simulation.begun("(move r0 a0 a1)\n(move r0 a1 a2)", is_plan=True)
+    assert await simulation.master.take("r0") == ""
+    await asyncio.sleep(1000.0)
+    assert reason(simulation, task).startswith("waits: r0 is in a person's hands since ")
+    await simulation.master.give("r0")
+    await simulation.reaches(task)
+    assert simulation.sent(task) == ["move(r0, a0, a1)", "move(r0, a0, a1)", "move(r0, a1, a2)"]
