@@ -17,9 +17,9 @@ from bisect import bisect_left, insort
 from collections import defaultdict
 from collections.abc import Callable, Collection, Hashable, Iterable, Iterator, KeysView, Mapping
 from dataclasses import dataclass
+from datetime import datetime
 from math import inf
 from operator import itemgetter
-from time import localtime, strftime
 from typing import Any, Final, Generic, TypeAlias, TypeVar
 from uuid import UUID
 
@@ -313,7 +313,10 @@ class Hand:
     @property
     def words(self) -> str:
         """Whose hands it is in, since when, and why."""
-        by, at = f"the hands of {self.by}" if self.by else "a person's hands", strftime("%H:%M", localtime(self.since))
+        by, at = (
+            f"the hands of {self.by}" if self.by else "a person's hands",
+            datetime.fromtimestamp(self.since).astimezone().strftime("%H:%M"),
+        )
         return f"in {by} since {at}{f': {self.reason}' if self.reason else ''}"
 
     def __str__(self) -> str:

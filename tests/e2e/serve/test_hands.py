@@ -6,12 +6,17 @@ from typing import Any
 
 import pytest
 
-from tests.e2e.serve.test_words_for_a_node import words
 from tests.support.e2e.command_line import pnm, result
 from tests.support.e2e.deployment import SimulationProgram
 from tests.support.e2e.plan_deployment import PlanDeployment, Serving
 from tests.support.e2e.task_node import DOMAIN, PROBLEM
 from tests.support.processes import Program
+
+
+def words(*arguments: str) -> tuple[int, str]:
+    """Give a command; return its exit status and all that it prints."""
+    done = pnm(*arguments)
+    return done.returncode, done.output.rstrip("\n")
 
 
 def begun(robots: SimulationProgram) -> list[str]:
