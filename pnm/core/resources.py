@@ -313,11 +313,8 @@ class Hand:
     @property
     def words(self) -> str:
         """Whose hands it is in, since when, and why."""
-        by, at = (
-            f"the hands of {self.by}" if self.by else "a person's hands",
-            datetime.fromtimestamp(self.since).astimezone().strftime("%H:%M"),
-        )
-        return f"in {by} since {at}{f': {self.reason}' if self.reason else ''}"
+        by, at = f"the hands of {self.by}" if self.by else "a person's hands", datetime.fromtimestamp(self.since).astimezone()
+        return f"in {by} since {at:%H:%M}{f': {self.reason}' if self.reason else ''}"
 
     def __str__(self) -> str:
         return f"{self.name} is {self.words}"
