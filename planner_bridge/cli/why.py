@@ -31,11 +31,11 @@ from planner_bridge.explanations.needed_call import why_call_of_plan, why_not
 from planner_bridge.explanations.no_plan import SECONDS, AnswerLimit
 from planner_bridge.explanations.run_questions import call_meant, task_meant, why_call_of_run, why_replanned, why_so
 from planner_bridge.model.grounding import problem_now
-from planner_bridge.model.plan import Plan, PlanStep, read_plan
+from planner_bridge.model.plan import Plan, PlanStep, read_call
 from planner_bridge.model.problem import Problem
 from planner_bridge.model.progression import NotProjectable, projected_state
 from planner_bridge.planning.kairos import DEFAULT_PLANNER, GLANCE
-from pnm.errors import InputError, Position, suggestion
+from pnm.errors import InputError, suggestion
 
 _NARROW: Final = 40
 """Columns that a statement gets at least, however deep it stands."""
@@ -101,8 +101,8 @@ def why(
     robots = robots_of(domain, loaded, bindings, rates)
     if journal is not None:
         loaded = _in_the_middle(loaded, journal, task, last)
-    unwanted = None if other is None else _call(loaded, other, "--not")
-    wanted = None if called is None or called.strip("# ").isdecimal() else _call(loaded, called, "--call")
+    unwanted = None if other is None else read_call(loaded, other, "--not")
+    wanted = None if called is None or called.strip("# ").isdecimal() else read_call(loaded, called, "--call")
     limit = AnswerLimit.of(seconds, *robots)
     with searching(DEFAULT_PLANNER, seconds):
         found = limit.first_plan(loaded, improve=GLANCE)
@@ -143,18 +143,6 @@ def _number(plan: Plan, called: str, wanted: PlanStep | None) -> int:
         hint = suggestion(str(wanted), steps) or "without --call, all are listed"
         raise InputError(f"--call: {wanted} is not in the plan; {hint} (--not asks why)")
     return steps.index(str(wanted))
-
-
-def _call(problem: Problem, text: str, option: str) -> PlanStep:
-    """Return the call that is written as ``move(r1, a, b)`` or as ``(move r1 a b)``; raise an `InputError` for other names."""
-    name, bracket, arguments = text.strip().partition("(")
-    if name:
-        text = f"({name} {arguments.replace(',', ' ')}" if bracket else f"({name})"
-    try:
-        (step,) = read_plan(" ".join(text.split()) or "()", problem).steps
-    except InputError as error:
-        raise InputError(error.message, Position(option)) from error
-    return step
 
 
 def show(answers: Sequence[Answer], *, as_json: bool) -> None:

@@ -177,6 +177,20 @@ def read_plan(text: str, problem: Problem, name: str = "plan") -> Plan:
     return Plan(tuple(sorted(steps, key=attrgetter("start"))), problem.is_timed, until=until)
 
 
+def read_call(problem: Problem, text: str, origin: str) -> PlanStep:
+    """Return the call that is written as ``move(r1, a, b)`` or as ``(move r1 a b)``; raise an `InputError` for other names."""
+    name, bracket, arguments = text.strip().partition("(")
+    if name:
+        text = f"({name} {arguments.replace(',', ' ')}" if bracket else f"({name})"
+    try:
+        steps = read_plan(" ".join(text.split()) or "()", problem).steps
+    except InputError as error:
+        raise InputError(error.message, Position(origin)) from error
+    if len(steps) != 1:
+        raise InputError("expected a call such as move(r1, a, b)", Position(origin))
+    return steps[0]
+
+
 class SpelledNames:
     """The names of a problem, found however they are spelled: capitals do not count in PDDL."""
 
