@@ -424,6 +424,36 @@ def _odds_of(message: Any) -> TaskOdds | None:
     return TaskOdds(message.chance, message.median, message.ninety_percent, message.rests_on)
 
 
+# --- mcp ------------------------------------------------------------------------------------------
+# `pnm mcp`: tools for agents, over the node, or over files without any robot.
+
+
+@click.command(epilog="Examples: pnm mcp domain.pddl problem.pddl")
+@click.argument("domain", type=options.FILE, required=False)
+@click.argument("problem", type=options.FILE, required=False)
+@command
+def mcp(domain: Path | None, problem: Path | None) -> int:
+    """Serve agents over the Model Context Protocol.
+
+    Over standard input and output, until they are closed. An agent reads the world, previews plans with their proof and odds, and asks why.
+    """
+    from planner_bridge.node.agents import Agents, check_installed, offered_problem, serve_agents
+    from planner_bridge.pipeline.loading import bindings_for, rates_for
+    from planner_bridge.tasks.settings import Settings
+
+    check_installed()
+    if domain is None or problem is None:
+        raise InputError("expected DOMAIN and PROBLEM")
+    loaded = options.problem_in(domain, problem)
+    settings = Settings(bindings=bindings_for(domain, None, loaded.vocabulary), learned=rates_for(domain, None))
+
+    async def serve() -> None:
+        await serve_agents(Agents(offered_problem(loaded, settings)))
+
+    run_async(serve())
+    return 0
+
+
 # --- serve ----------------------------------------------------------------------------------------
 # `pnm serve`: options that are the parameters of a node, and arguments for ROS 2 behind them.
 
