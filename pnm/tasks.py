@@ -19,6 +19,8 @@ from pnm.core.machine.machine import PetriNetMachine
 from pnm.core.net.net import Marking
 from pnm.core.resources import Hand
 
+PROPOSED: Final = "propose_goal"
+"""The action whose goals are pursued only after a person's yes."""
 EVENTS: Final = logging.getLogger("pnm.events")
 """The log of tasks and of their node, for handlers here: `/rosout`, by `pnm.ros.node.ros_thread`."""
 EVENTS.propagate = False  # commands print it in their own way
@@ -140,6 +142,11 @@ class Wanted:
     """Whether `text` is a plan, which is carried out as it is."""
     server: str = ""
     """The action by which it came, without namespaces; empty for none."""
+
+    @property
+    def needs_yes(self) -> bool:
+        """Whether it is only proposed: a person decides whether it is pursued."""
+        return self.server == PROPOSED
 
     @property
     def words(self) -> str:

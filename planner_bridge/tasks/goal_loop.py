@@ -43,6 +43,7 @@ from planner_bridge.tasks.result import (
     code_of_failures,
     code_of_planning,
     join_reasons,
+    notes_of,
     policies_of,
     restored_log,
     retry_reason,
@@ -57,8 +58,8 @@ from pnm.core.machine.plan_graph import PlanGraph, PlanGraphError
 from pnm.core.machine.verification.part import Unsound
 from pnm.core.resources import who_keeps
 from pnm.journal.replay import ReplayedRun, ReplayedTask
-from pnm.knowledge.people import Advice, HelpEnded, ask_for_help
-from pnm.knowledge.source import Asker, Source
+from pnm.knowledge.people import Advice, HelpEnded, ask_for_help, is_approved
+from pnm.knowledge.source import Asker, Source, SourceError
 from pnm.tasks import Code, TaskState
 
 
@@ -94,6 +95,8 @@ class GoalLoop:
         self._monitor = TaskMonitor(context, kept)
         self._search = PlanSearch(context, self._monitor, kept)
         self._log, self._kept_run = restored_log(kept) if kept else (TaskLog(history or History()), None)
+        has_set_out = kept is not None and bool(kept.runs or notes_of(kept, GoalNote))
+        self._is_approved = has_set_out or not context.task.wanted.needs_yes
         self._retry_at: float | None = None
         self._hands_changes = context.runner.hands.changes
         self._facts_changed = asyncio.Event()
@@ -108,13 +111,12 @@ class GoalLoop:
             if self._context.helper is not None:  # else nobody asks: all that listen hear of every change
                 cleanup.callback(self._context.world.listen(lambda changes: self._facts_changed.set() if changes else None))
             self._monitor.begin(cleanup)
-            while True:
+            ended = None if self._is_approved else await self._unapproved()
+            while ended is None:
                 self._facts_changed.clear()
-                ended: TaskEnded | None = await self._attempt()
-                if ended and ended.can_be_helped and self._context.helper is not None:
+                ended = await self._attempt()
+                if ended.can_be_helped and self._context.helper is not None:
                     ended = await self._helped(ended, self._context.helper)
-                if ended is not None:
-                    break
             self._context.scheduler.release(self._context.task)
             monitor, now = self._monitor.constraints, self._monitor.elapsed
             return TaskResult(
@@ -127,6 +129,30 @@ class GoalLoop:
                 monitor.constraint_results(now),
                 monitor.preference_results(now),
             )
+
+    async def _unapproved(self) -> TaskEnded | None:
+        """Ask a person whether a goal that is only proposed is pursued. Return how the task ends without a yes; None with one."""
+        context, control, task = self._context, self._control, self._context.task
+        goal = str(context.problem.goal)
+        control.awaits_help = True
+        control.enter(TaskState.QUEUED, "waits for a person's yes")
+        said = "it is not asked any more"
+        try:
+            if (person := context.runner.source) is None:
+                raise SourceError("there is nobody to be asked")
+            if await control.until(is_approved(person, Asker(task.id, goal, uuid5(task.id, "approval")), goal, context.note)):
+                said = "a person says yes"
+                self._note_goal()  # also in the next process it need not be asked again
+                return None
+            said = "a person was asked, and does not say yes"
+        except SourceError as error:
+            said = f"nobody says yes: {error}"
+        except TaskEnded as stopped:
+            return stopped
+        finally:
+            control.awaits_help = False
+            context.note(HelpEnded(said))
+        return TaskEnded(Code.CANCELLED, said)
 
     async def _attempt(self) -> TaskEnded:
         """Plan, execute and replan; return how the task ends if nothing helps."""

@@ -240,6 +240,8 @@ class ScriptedAnswers:
 
 TRY_AGAIN: Final = "try again"
 GIVE_UP: Final = "give up"
+APPROVAL: Final = "approval"
+"""The name of the question whether a goal that was proposed is pursued: only people answer it."""
 _TIMES: Final = 3
 """The number of times that a question with meaningless answers is asked."""
 
@@ -291,6 +293,12 @@ async def ask_for_help(person: Source, asker: Asker, trouble: str, note: Callabl
     if said == TRY_AGAIN:
         return Advice(try_again=True, why="a person says that it is to be tried again")
     return Advice(try_again=False, why=f"a person was asked for help, and {'says to give up' if said else 'does not know any'}")
+
+
+async def is_approved(person: Source, asker: Asker, goal: str, note: Callable[[HelpAsked], None]) -> bool:
+    """Ask a person whether a goal that a program proposes is to be pursued; `SourceError` without an answer that means anything."""
+    question = f"A program proposes the goal {goal}. Is it to be pursued? Answer 'yes' or 'no'."  # all of it: it must be seen whole
+    return await _chosen(person, asker, APPROVAL, HelpAsked(asker.question or asker.run, question, ("yes", "no")), note) == "yes"
 
 
 async def was_carried_out(person: Source, asker: Asker, request: UUID, action: str, note: Callable[[HelpAsked], None]) -> bool:

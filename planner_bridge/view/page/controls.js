@@ -121,13 +121,13 @@ async function explained(text, button, place) {
   button.disabled = false;
 }
 
-// A button that asks why there is no plan for a goal, and the answer below it.
-export function whyNoPlan(key, text) {
+// A button that asks for the plan of a goal, or why there is none, and the answer below it.
+export function whyNoPlan(key, text, label = "Why is there no plan?") {
   if (what !== "node") return "";
   const name = `why ${key}`;
   if (!made.has(name)) {
     const place = el("div", { "aria-live": "polite" });
-    const button = el("button", { type: "button", title: "as things are now: why there is no plan, and what would help" }, "Why is there no plan?");
+    const button = el("button", { type: "button", title: "as things are now: the plan, or why there is none and what would help" }, label);
     button.addEventListener("click", () => explained(text, button, place));
     made.set(name, { element: el("div", { class: "no-plan" }, button, place) });
   }

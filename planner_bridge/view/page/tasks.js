@@ -95,7 +95,8 @@ function showNeeds(model, tasks, isNow) {
 function questionOf(model, isNow, id, question) {
   const form = isNow && question.who === "a person" ? answerForm(id, question) : "";
   const where = question.who === "a person" && !form ? "; answer at the terminal of pnm run, or on the topic knowledge/answers of pnm serve" : "";
-  const why = isNow && question.choices.length ? whyNoPlan(id, goalOf(question.subject)) : ""; // help is asked for because there is no plan
+  const label = question.choices.includes("yes") ? "Can it be reached?" : undefined; // else help is asked for because there is no plan
+  const why = isNow && question.choices.length ? whyNoPlan(id, goalOf(question.subject), label) : "";
   return el("div", { class: "need asks", "data-question": id },
     el("p", {}, el("strong", {}, `? ${question.who} is asked: `), question.text),
     el("p", { class: "soft" }, `for ${question.subject}, since ${seconds(question.since - model.began)}${where}`), form, why);

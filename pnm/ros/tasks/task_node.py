@@ -32,6 +32,7 @@ from pnm.ros.tasks.executor_topics import (
     wanted_run,
 )
 from pnm.tasks import (
+    PROPOSED,
     SHORT,
     Code,
     KeptTasks,
@@ -251,7 +252,7 @@ def _id(message: Any) -> UUID | None:
 
 
 # --- tasks as goals of actions -------------------------------------------------------------
-# Of the actions ``achieve_goal`` and ``execute_plan``, and of one action for every plan that is loaded.
+# Of the actions ``achieve_goal``, ``propose_goal`` and ``execute_plan``, and of one action for every plan that is loaded.
 #
 # The id of a task is that of its goal. A goal SUCCEEDED if its task ended with `Code.GOAL_REACHED`; it is CANCELED if
 # cancellation was requested and its task has ended so; in all other cases it is ABORTED, and the result has the reason. A
@@ -268,8 +269,10 @@ class _TaskAction:
     feedback: Callable[[TaskStatus, Iterable[TaskStep]], Fields] = task_feedback_fields
 
 
+_GOALS: Final = _TaskAction("pnm_interfaces/action/AchieveGoal", wanted_goal, goal_ending_fields)
 _ACTIONS: Final = {
-    "achieve_goal": _TaskAction("pnm_interfaces/action/AchieveGoal", wanted_goal, goal_ending_fields),
+    "achieve_goal": _GOALS,
+    PROPOSED: _GOALS,
     "execute_plan": _TaskAction("pnm_interfaces/action/ExecutePlan", wanted_plan, plan_ending_fields),
 }
 

@@ -61,7 +61,7 @@ def test_a_second_node_of_the_same_name_offers_nothing(deployment: PlanDeploymen
     elsewhere = serve(deployment, DOMAIN, PROBLEM, "--ros-args", "-r", "__ns:=/r1").ready()
     assert second.ended() == 1
     assert "there is an action server /achieve_goal already" in "\n".join(second.err)
-    assert "ready: 3 action servers: /r1/achieve_goal, /r1/execute_plan, /r1/plan" in elsewhere.out
+    assert "ready: 4 action servers: /r1/achieve_goal, /r1/propose_goal, /r1/execute_plan, /r1/plan" in elsewhere.out
     for one in (serving, elsewhere):
         one.stop()
 

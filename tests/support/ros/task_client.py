@@ -20,7 +20,7 @@ from pnm.ros.node.services import ServiceClient, until_true
 from tests.support.processes import LIMIT
 
 SUCCEEDED, CANCELED, ABORTED = 4, 5, 6
-TYPES = {"achieve_goal": "AchieveGoal", "execute_plan": "ExecutePlan", "plan": "MakePlan"}
+TYPES = {"achieve_goal": "AchieveGoal", "propose_goal": "AchieveGoal", "execute_plan": "ExecutePlan", "plan": "MakePlan"}
 SERVICES = {
     "executor/pause": "PauseTask",
     "executor/resume": "ResumeTask",

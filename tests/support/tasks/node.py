@@ -51,11 +51,12 @@ class SlowPerson:
 def simulated(
     problem: Problem | None = None, *, chosen: Settings = USUAL, **how: Any
 ) -> Callable[[Callable[Concatenate[TaskSimulation, P], Awaitable[None]]], Callable[P, None]]:
-    """Run a test with the tasks of such a node, in simulation; a person that the test is given is asked for help."""
+    """Run a test with the tasks of such a node, in simulation; a person that the test is given is asked for help, an approver about what is proposed."""
 
     def wrap(scenario: Callable[Concatenate[TaskSimulation, P], Awaitable[None]]) -> Callable[P, None]:
         def test(*args: P.args, **kwargs: P.kwargs) -> None:
             helped = {"helper": kwargs["person"]} if "person" in kwargs else {}
+            helped |= {"source": kwargs["approver"]} if "approver" in kwargs else {}
             simulate_tasks(lambda simulation: scenario(simulation, *args, **kwargs), problem, chosen=chosen, **how, **helped)
 
         _, *others = signature(scenario).parameters.values()

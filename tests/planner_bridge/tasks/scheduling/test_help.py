@@ -15,7 +15,7 @@ from pnm.core.logic.computed_values import MISSING
 from pnm.core.logic.expressions import Fluent, Value
 from pnm.core.machine.bindings import Binding, Bindings
 from pnm.knowledge.source import SourceError
-from pnm.tasks import Code, TaskState
+from pnm.tasks import PROPOSED, Code, TaskState
 from tests.support.logic.people import Person
 from tests.support.pddl.problems import fleet, rooms
 from tests.support.tasks.node import USUAL, simulated
@@ -198,3 +198,60 @@ async def test_a_resource_that_is_kept_is_named(simulation: TaskSimulation, pers
     assert "it would help if r0 is given back" in text
     person.answer(text, "give up")
     assert await simulation.ended_with(task) == [Code.SERVER_UNAVAILABLE]
+
+
+# --- goals that are only proposed ---
+
+
+@pytest.fixture
+def approver() -> Person:
+    return Person(words)
+
+
+@simulated(rooms(init="(at r1 a)", ways="ab bc"))
+async def test_a_proposed_goal_is_pursued_after_a_yes_and_nothing_moves_before(simulation: TaskSimulation, approver: Person) -> None:
+    task = simulation.want("(at r1\n c)", server=PROPOSED)
+    text = await question(approver)
+    assert text == "A program proposes the goal (at r1 c). Is it to be pursued? Answer 'yes' or 'no'."
+    assert (approver.askers[0].run, approver.askers[0].plan) == (task, "(at r1 c)")
+    await simulation.reaches(simulation.want("(at r1 b)"))  # which waits for nobody
+    assert (simulation.state(task), simulation.sent(task)) == (TaskState.QUEUED, [])
+    approver.answer(text, "Yes.")
+    await simulation.reaches(task)
+    assert len(approver.history) == 1
+
+
+@pytest.mark.parametrize(
+    ("answer", "why"),
+    [
+        ("no", "a person was asked, and does not say yes"),
+        (MISSING, "a person was asked, and does not say yes"),
+        (SourceError("nobody has answered within 60 s"), "nobody says yes: nobody has answered within 60 s"),
+    ],
+)
+@simulated(rooms(init="(at r1 a)", ways="ab"))
+async def test_a_proposed_goal_ends_without_a_yes(simulation: TaskSimulation, approver: Person, answer: object, why: str) -> None:
+    task = simulation.want("(at r1 b)", server=PROPOSED)
+    open_question = approver.open[await question(approver)]
+    if isinstance(answer, SourceError):
+        open_question.set_exception(answer)
+    else:
+        open_question.set_result(answer)
+    assert await simulation.ended_with(task) == [Code.CANCELLED]
+    assert (simulation.endings[task].message, simulation.sent(task)) == (why, [])
+
+
+@simulated(rooms(init="(at r1 a)", ways="ab"))
+async def test_a_proposed_goal_can_be_cancelled_while_a_person_is_asked(simulation: TaskSimulation, approver: Person) -> None:
+    task = simulation.want("(at r1 b)", server=PROPOSED)
+    text = await question(approver)
+    await simulation.master.cancel(task)
+    assert await approver.withdrawn.get() == text
+    assert simulation.endings[task].code is Code.CANCELLED
+
+
+@simulated(rooms(init="(at r1 a)", ways="ab"))
+async def test_where_nobody_can_be_asked_a_proposed_goal_ends(simulation: TaskSimulation) -> None:
+    task = simulation.want("(at r1 b)", server=PROPOSED)
+    assert await simulation.ended_with(task) == [Code.CANCELLED]
+    assert simulation.endings[task].message == "nobody says yes: there is nobody to be asked"

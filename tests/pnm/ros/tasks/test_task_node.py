@@ -13,7 +13,7 @@ from tests.support.ros.task_client import ABORTED, SUCCEEDED, TaskClient
 
 async def test_a_goal_while_the_node_is_inactive_is_rejected_and_a_later_one_is_not(two):
     async with serving_node(two, is_active=False) as one:
-        for action in ("achieve_goal", "execute_plan", "plan"):
+        for action in ("achieve_goal", "propose_goal", "execute_plan", "plan"):
             assert not (await one.client.send(action)).handle.accepted
         assert not one.tasks.wanted
         await one.node.activate()
@@ -46,6 +46,13 @@ async def test_what_is_wrong_with_a_goal_is_in_its_result(one):
         assert (status, result["code"], result["reason"]) == (ABORTED, Code.INVALID_GOAL, "invalid_goal")
         assert said in result["message"]
     assert not one.tasks.open
+
+
+async def test_a_goal_that_is_only_proposed_is_a_task_that_needs_a_yes(one):
+    for action, needs_yes in (("propose_goal", True), ("achieve_goal", False)):
+        sent = await one.client.send(action, goal="goal_reached")
+        await sent.result()
+        assert (one.tasks.wanted[-1].id, one.tasks.wanted[-1].needs_yes) == (sent.id, needs_yes)
 
 
 async def test_a_goal_that_takes_long_to_read_holds_up_no_other(one):
