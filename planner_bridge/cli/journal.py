@@ -108,18 +108,7 @@ def history(journal: str | None, as_json: bool) -> int:
     console = SafeConsole()
     for task in tasks:
         if as_json:
-            ending = task.ending
-            fields = {
-                "task": str(task.accepted.wanted.id),
-                "goal": task.accepted.wanted.text,
-                "accepted": task.accepted.wall,
-                "ended": task.ended,
-                "seconds": task.seconds,
-                "runs": task.runs,
-                "code": ending.code.word if ending else None,
-                "reason": ending.message if ending else None,
-            }
-            print(json.dumps(fields), flush=True)
+            print(json.dumps(task.as_json()), flush=True)
         else:
             _print_task(task, console)
     if not (tasks or as_json):

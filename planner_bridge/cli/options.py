@@ -136,6 +136,30 @@ def announce(page: PageProcess, more: str = "") -> None:
     print(f"view     {where if is_hidden else page.url}{more}", file=sys.stderr, flush=True)
 
 
+def announced_token(port: int) -> str:
+    """Return a new token for HTTP at a port of this computer; say on stderr where that is, and the token as `announce` does.
+
+    Raises an `InputError` if the port is in use.
+    """
+    import secrets  # here, because most commands serve nothing
+    import socket
+
+    with socket.socket() as tried:
+        tried.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            tried.bind(("127.0.0.1", port))
+        except OSError as error:
+            raise InputError(f"nothing can be served at port {port}: {error.strerror}") from error
+    token, url = secrets.token_urlsafe(32), f"http://127.0.0.1:{port}/mcp"
+    if sys.stderr.isatty():
+        print(f"mcp      {url} with the header  Authorization: Bearer {token}", file=sys.stderr, flush=True)
+    else:
+        file = state_folder() / f"mcp-{port}.token"
+        write_private(file, f"{token}\n")
+        print(f"mcp      {url}; its token is in {file}, which only you can read", file=sys.stderr, flush=True)
+    return token
+
+
 VIEW_PORT: Final = 8421
 """The port of the page, unless another one is chosen."""
 

@@ -28,11 +28,12 @@ from pnm.clock import run_async
 from pnm.core.machine.requests import OutcomeKind
 from pnm.core.resources import Hand
 from pnm.errors import InputError, PnmError
-from pnm.files.database.place import place_of
+from pnm.files.database.place import Place, place_of
 from pnm.files.yaml_nodes import load_yaml
 from pnm.journal.kept import Fenced
 from pnm.ros.node.parameters import NodeParameter, ParameterValue
-from pnm.tasks import Code, OnConflict, TaskOdds, TaskState, TraceEvent, TraceKind, percent
+from pnm.ros.tasks.executor_topics import odds_of, task_as_json
+from pnm.tasks import Code, OnConflict, TaskState, TraceEvent, TraceKind, percent
 
 if TYPE_CHECKING:
     from pnm.ros.node_client import NodeClient
@@ -152,7 +153,7 @@ def status(namespace: str, as_json: bool) -> int:
 
     message, hands = _with_node(namespace, ask)
     if as_json:
-        options.print_json({"paused": message.paused, "hands": hands, "tasks": [_task_data(task) for task in message.tasks]})
+        options.print_json({"paused": message.paused, "hands": hands, "tasks": [task_as_json(task) for task in message.tasks]})
     else:
         _print_status(SafeConsole(), message, hands)
     return 0
@@ -225,7 +226,7 @@ def goal(*, goal: str, priority: int, deadline: float | None, policy: str, least
     odds = None
     if least is not None:
         made: Any = _with_node(namespace, lambda node: node.plan(goal))
-        odds = _odds_of(SimpleNamespace(**made.result["odds"])) if "odds" in made.result else None
+        odds = odds_of(SimpleNamespace(**made.result["odds"])) if "odds" in made.result else None
         words = f"{odds} ({odds.rests})" if odds else f"not known: {made.message}"
         if not as_json:
             console.print_text(words, "odds     ")
@@ -392,7 +393,7 @@ def _print_status(console: SafeConsole, message: Any, hands: list[dict[str, Any]
     for column in ("task", "state", "goal", "calls ended", "under way, and why"):
         table.add_column(column, overflow="fold")
     for status in message.tasks:
-        task, odds = _task_data(status), _odds_of(status.odds)
+        task, odds = task_as_json(status), odds_of(status.odds)
         calls = (": ".join(filter(None, said)) for said in zip(task["running"], task["feedback"], strict=True))
         why = "; ".join(filter(None, (", ".join(calls), task["reason"])))
         table.add_row(task["id"][:8], task["code"] or task["state"], task["goal"], str(task["ended"]), why)
@@ -401,56 +402,64 @@ def _print_status(console: SafeConsole, message: Any, hands: list[dict[str, Any]
     console.print(table, soft_wrap=False)
 
 
-def _task_data(task: Any) -> dict[str, Any]:
-    return {
-        "id": str(UUID(bytes=bytes(task.id.uuid))),
-        "goal": task.goal,
-        "priority": task.priority,
-        "state": TaskState(task.state).word,
-        "code": Code(task.code).word if task.state == TaskState.OVER else None,
-        "reason": task.reason,
-        "running": list(task.running),
-        "feedback": list(task.feedback),
-        "ended": task.ended,
-        "replans": task.replans,
-        "odds": odds.as_json() if (odds := _odds_of(task.odds)) else None,
-    }
-
-
-def _odds_of(message: Any) -> TaskOdds | None:
-    """Read ``Odds``; None where they are not known."""
-    if message.chance < 0.0:
-        return None
-    return TaskOdds(message.chance, message.median, message.ninety_percent, message.rests_on)
-
-
 # --- mcp ------------------------------------------------------------------------------------------
 # `pnm mcp`: tools for agents, over the node, or over files without any robot.
 
 
-@click.command(epilog="Examples: pnm mcp domain.pddl problem.pddl")
+@click.command(epilog="Examples: pnm mcp domain.pddl problem.pddl; pnm mcp --allow-goals --policy policy.yaml")
 @click.argument("domain", type=options.FILE, required=False)
 @click.argument("problem", type=options.FILE, required=False)
+@namespace_option
+@click.option("--allow-goals", is_flag=True, help="let agents send goals, pause, resume, cancel, and answer questions")
+@click.option("--policy", type=options.FILE, help="YAML file that says which goals need a person's yes; by default all")
+@click.option("--http", "port", type=click.IntRange(1, 65535), help="serve over HTTP at this port of this computer, with a token")
+@click.option("--journal", metavar="FILE", help="file or postgresql://… of the journal; by default the one written last on this computer")
 @command
-def mcp(domain: Path | None, problem: Path | None) -> int:
+def mcp(
+    *,
+    domain: Path | None,
+    problem: Path | None,
+    namespace: str,
+    allow_goals: bool,
+    policy: Path | None,
+    port: int | None,
+    journal: str | None,
+) -> int:
     """Serve agents over the Model Context Protocol.
 
-    Over standard input and output, until they are closed. An agent reads the world, previews plans with their proof and odds, and asks why.
+    An agent reads the world, previews plans with their proof and odds, and asks why, over standard input and output until they are closed.
+    Without DOMAIN and PROBLEM, it does so in the running node; with --allow-goals, it also acts there. A goal that needs a person's
+    yes by the --policy begins only after that: the node asks on its page, at its terminal or on knowledge/questions.
     """
-    from planner_bridge.node.agents import Agents, check_installed, offered_problem, serve_agents
+    from planner_bridge.node.agents import Agents, Approval, check_installed, offered_node, read_approval, serve_agents
+    from planner_bridge.node.node_journal import latest_journal
+    from planner_bridge.node.problem_service import served_files
     from planner_bridge.pipeline.loading import bindings_for, rates_for
     from planner_bridge.tasks.settings import Settings
 
     check_installed()
-    if domain is None or problem is None:
-        raise InputError("expected DOMAIN and PROBLEM")
-    loaded = options.problem_in(domain, problem)
-    settings = Settings(bindings=bindings_for(domain, None, loaded.vocabulary), learned=rates_for(domain, None))
+    if policy and not allow_goals:
+        raise InputError("--policy is about goals that are sent; expected --allow-goals as well")
+    if domain and (problem is None or allow_goals):
+        raise InputError("expected DOMAIN and PROBLEM to look at; or neither of them for a node, which --allow-goals needs")
+    approval = (read_approval(policy) if policy else Approval()) if allow_goals else None
+    token = options.announced_token(port) if port else ""
 
-    async def serve() -> None:
-        await serve_agents(Agents(offered_problem(loaded, settings)))
+    def place() -> Place:
+        return place_of(journal) if journal is not None else latest_journal()
 
-    run_async(serve())
+    async def serve_files(domain: Path, problem: Path) -> None:
+        loaded = options.problem_in(domain, problem)
+        settings = Settings(bindings=bindings_for(domain, None, loaded.vocabulary), learned=rates_for(domain, None))
+        await serve_agents(Agents(served_files(loaded, settings), place), port, token)
+
+    async def serve_node() -> None:
+        from pnm.ros.node.ros_thread import RosThread  # here, because rclpy is an extra
+
+        async with RosThread("pnm_mcp", namespace=namespace) as ros, offered_node(ros) as node:
+            await serve_agents(Agents(node, place, approval), port, token)
+
+    run_async(serve_files(domain, problem) if domain and problem else serve_node())
     return 0
 
 

@@ -29,7 +29,7 @@ from planner_bridge.explanations.goal_now import why_goal
 from planner_bridge.explanations.history import JournalHistory
 from planner_bridge.explanations.needed_call import why_call_of_plan, why_not
 from planner_bridge.explanations.no_plan import SECONDS, AnswerLimit
-from planner_bridge.explanations.run_questions import call_meant, task_meant, why_call_of_run, why_replanned, why_so
+from planner_bridge.explanations.run_questions import explained_task, task_meant
 from planner_bridge.model.grounding import problem_now
 from planner_bridge.model.plan import Plan, PlanStep, read_call
 from planner_bridge.model.problem import Problem
@@ -85,12 +85,7 @@ def why(
         if other is not None:
             raise InputError("--not needs other plans; expected DOMAIN and PROBLEM, which are used with the facts of a --journal")
         with errors_of_journals():
-            history = JournalHistory.read(chosen_journal(journal), last)
-            meant = task_meant(history, task)
-            if replan:
-                answers = why_replanned(history, meant)
-            else:
-                answers = why_so(history, meant) if called is None else why_call_of_run(history, meant, *call_meant(meant, called))
+            answers = explained_task(chosen_journal(journal), task, called, last, replan=replan)
         show(answers, as_json=as_json)
         return 0
     if replan:

@@ -96,6 +96,17 @@ def explained(place: Place, run: UUID, call: int, last: int) -> tuple[Answer, ..
     return why_call_of_run(history, history.tasks[meant.made.task], meant, call)
 
 
+def explained_task(
+    place: Place, task: str | None, call: str | None = None, last: int | None = None, *, replan: bool = False
+) -> tuple[Answer, ...]:
+    """Read a journal, up to a record if one is named, and return how a task is doing; or about a call of it, or about its new plans."""
+    history = JournalHistory.read(place, last)
+    meant = task_meant(history, task)
+    if replan:
+        return why_replanned(history, meant)
+    return why_so(history, meant) if call is None else why_call_of_run(history, meant, *call_meant(meant, call))
+
+
 def why_so(history: JournalHistory, task: TaskHistory) -> tuple[Answer, ...]:
     """Return the state of a task and its reasons: its end, or its running and waiting calls; and its new plans."""
     replans = why_replanned(history, task) if len(task.own_runs) > 1 else ()

@@ -226,6 +226,15 @@ class ServedProblem:
         return self._knowledge.listen(lambda batch: listener(self.world.changes(batch)) if batch else None)
 
 
+def served_files(problem: Problem, settings: Settings) -> ServedProblem:
+    """Return the world of a problem in which no robot is, to be looked at; on the event loop."""
+
+    def refuse(*_: object) -> None:
+        raise InputError("there is no node; only `pnm serve` takes another problem")
+
+    return ServedProblem(problem, initial_knowledge(problem), settings, ProblemFolder(None), refuse)
+
+
 # --- the folder of problems -----------------------------------------------------------------------
 # The folder whose PDDL files the clients of a node load, and to which they save: nothing else can be named, or overwritten.
 

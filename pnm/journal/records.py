@@ -279,6 +279,20 @@ class TaskSummary:
     ended: float | None = None
     seconds: float | None = None
 
+    def as_json(self) -> dict[str, Any]:
+        """Return it as programs get it."""
+        ending = self.ending
+        return {
+            "task": str(self.accepted.wanted.id),
+            "goal": self.accepted.wanted.text,
+            "accepted": self.accepted.wall,
+            "ended": self.ended,
+            "seconds": self.seconds,
+            "runs": self.runs,
+            "code": ending.code.word if ending else None,
+            "reason": ending.message if ending else None,
+        }
+
 
 def became(result: RunResult, plan: PlanGraph) -> tuple[Became, ...]:
     """Return the results of the calls of a run, the last time that each was reached."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import json
 import os
-from collections.abc import AsyncIterator, Mapping
+from collections.abc import AsyncIterator, Awaitable, Callable, Mapping
 from contextlib import asynccontextmanager
 from functools import partial
 from typing import Any, Final
@@ -13,13 +13,14 @@ from uuid import UUID, uuid4
 
 from pnm.core.machine.bindings import Binding, Bindings
 from pnm.core.machine.plan_graph import GroundAction
-from pnm.core.machine.requests import Ended, Outcome, Report, Request
+from pnm.core.machine.requests import Accepted, Ended, Outcome, Report, Request
 from pnm.errors import InputError, RosError
 from pnm.knowledge.source import SourceError
 from pnm.ros.action_client.client import Ros2ActionClient
-from pnm.ros.node.messages import import_type
+from pnm.ros.knowledge import DEPTH
+from pnm.ros.node.messages import import_type, to_message
 from pnm.ros.node.ros_thread import RosThread, call_on_loop, profile
-from pnm.ros.node.services import ServiceClient
+from pnm.ros.node.services import ServiceClient, until_true
 
 LIMIT: Final = 10.0
 """Seconds for the node to be found, and to answer what takes it no time."""
@@ -90,21 +91,28 @@ class NodeClient:
 
     async def achieve(self, goal: Mapping[str, object], task: UUID) -> Outcome:
         """Have a goal reached, as the task of this id; when cancelled, cancel it and wait until it is over."""
-        return await self._carry_out("achieve_goal", "AchieveGoal", goal, task)
+        return _outcome(await self._carry_out("achieve_goal", "AchieveGoal", goal, task))
 
-    async def plan(self, goal: str) -> Outcome:
-        """Have a plan made for a goal, with its odds."""
-        return await self._carry_out("plan", "MakePlan", {"goal": goal, "with_new_plans": True}, uuid4())
+    async def send(self, server: str, goal: Mapping[str, object], task: UUID) -> None:
+        """Send a goal to an action that has goals reached, and leave it to the node; raise a `RosError` if that rejects it."""
+        report = await self._carry_out(server, "AchieveGoal", goal, task, Accepted)
+        if isinstance(report, Ended):
+            raise RosError(f"the node has not accepted the goal: {report.outcome.message or report.outcome.kind.value}")
 
-    async def _carry_out(self, server: str, kind: str, goal: Mapping[str, object], id: UUID) -> Outcome:
+    async def plan(self, goal: str, *, with_new_plans: bool = True) -> Outcome:
+        """Have a plan made for a goal, with its odds; they are with new plans after failures, unless that takes the node too long."""
+        return _outcome(await self._carry_out("plan", "MakePlan", {"goal": goal, "with_new_plans": with_new_plans}, uuid4()))
+
+    async def _carry_out(self, server: str, kind: str, goal: Mapping[str, object], id: UUID, until: type[Report] = Ended) -> Report:
+        """Send a goal; return the first report of a kind, or that of its end."""
         loop, action = asyncio.get_running_loop(), GroundAction(server)
         binding = Binding(server=server, type=f"pnm_interfaces/action/{kind}")
         client = Ros2ActionClient(self._ros, Bindings({server: binding}), loop, grace=RETURN)
-        over: asyncio.Future[Outcome] = loop.create_future()
+        over: asyncio.Future[Report] = loop.create_future()
 
         def hear(report: Report) -> None:
-            if isinstance(report, Ended) and not over.done():
-                over.set_result(report.outcome)
+            if isinstance(report, (until, Ended)) and not over.done():
+                over.set_result(report)
 
         try:
             if await client.prepare([action], LIMIT):
@@ -119,9 +127,37 @@ class NodeClient:
             client.close()
 
     @asynccontextmanager
-    async def hearing(self, kind: str, topic: str, *, latched: bool = False) -> AsyncIterator[asyncio.Queue[Any]]:
-        """Subscribe to a topic, whose messages are in the queue."""
-        heard, qos = asyncio.Queue[Any](), profile(1 if latched else 1000, latched=latched)
+    async def answering(self) -> AsyncIterator[Callable[[str, str], Awaitable[None]]]:
+        """Yield what answers a question to people, by its id; it raises a `RosError` if nobody hears it.
+
+        The publisher is there from the beginning: what is published before both sides know each other may get lost.
+        """
+        from rclpy.duration import Duration  # here, because rclpy is an extra
+
+        kind = import_type("pnm_interfaces/msg/Answer")
+        topic = await self._ros.ask(lambda: self._ros.node.create_publisher(kind, "knowledge/answers", profile(DEPTH)))
+
+        async def answer(question: str, text: str) -> None:
+            def publish() -> bool:
+                topic.publish(to_message(kind, {"id": question, "value": text}))
+                return bool(topic.wait_for_all_acked(Duration(seconds=1)))
+
+            try:
+                async with asyncio.timeout(LIMIT):
+                    await until_true(self._ros, topic.get_subscription_count)
+                await self._ros.ask(publish)
+            except TimeoutError as error:
+                raise RosError(await self._absence("nobody listens on knowledge/answers")) from error
+
+        try:
+            yield answer
+        finally:
+            self._ros.call(lambda: self._ros.node.destroy_publisher(topic))
+
+    @asynccontextmanager
+    async def hearing(self, kind: str, topic: str, *, latched: bool = False, depth: int = 1) -> AsyncIterator[asyncio.Queue[Any]]:
+        """Subscribe to a topic, whose messages are in the queue; of a latched one, so many of the last ones."""
+        heard, qos = asyncio.Queue[Any](), profile(depth if latched else 1000, latched=latched)
         receive = partial(call_on_loop, asyncio.get_running_loop(), heard.put_nowait)
         subscription = await self._ros.ask(lambda: self._ros.node.create_subscription(import_type(kind), topic, receive, qos))
         try:
@@ -133,3 +169,8 @@ class NodeClient:
         namespace = await self._ros.ask(self._ros.node.get_namespace)
         domain = os.environ.get("ROS_DOMAIN_ID", "0")
         return f"{what}; is `pnm serve` running, in the namespace {namespace} and with ROS_DOMAIN_ID={domain}?"
+
+
+def _outcome(report: Report) -> Outcome:
+    assert isinstance(report, Ended), "nothing else was waited for"
+    return report.outcome

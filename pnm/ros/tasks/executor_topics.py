@@ -9,6 +9,7 @@ from collections.abc import Awaitable, Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import IntEnum
 from functools import partial
+from types import SimpleNamespace
 from typing import Any, Final
 from uuid import UUID
 
@@ -17,7 +18,7 @@ from pnm.core.machine.machine import PetriNetMachine
 from pnm.core.net.net import Marking
 from pnm.core.pictures.export import as_data
 from pnm.core.readiness import Readiness, ReadyState
-from pnm.errors import InputError, printable
+from pnm.errors import InputError, RosError, printable
 from pnm.files.yaml_nodes import parse_value
 from pnm.knowledge.source import SourceError, read_value, write_value
 from pnm.ros.node.ros_thread import RosThread, call_on_loop
@@ -386,6 +387,28 @@ def status_fields(status: TaskStatus) -> Fields:
     }
 
 
+def task_as_json(message: Any) -> dict[str, Any]:
+    """Read a ``TaskStatus``, as programs get it."""
+    return {
+        "id": str(UUID(bytes=bytes(message.id.uuid))),
+        "goal": message.goal,
+        "priority": message.priority,
+        "state": TaskState(message.state).word,
+        "code": Code(message.code).word if message.state == TaskState.OVER else None,
+        "reason": message.reason,
+        "running": list(message.running),
+        "feedback": list(message.feedback),
+        "ended": message.ended,
+        "replans": message.replans,
+        "odds": odds.as_json() if (odds := odds_of(message.odds)) else None,
+    }
+
+
+def odds_of(message: Any) -> TaskOdds | None:
+    """Read ``Odds``; None where they are not known."""
+    return TaskOdds(message.chance, message.median, message.ninety_percent, message.rests_on) if message.chance >= 0.0 else None
+
+
 def odds_fields(odds: TaskOdds | None) -> Fields:
     """Return the fields of ``Odds``."""
     if odds is None:
@@ -478,6 +501,19 @@ def run_ending_fields(ending: TaskEnding, _offset: float) -> Fields:
     """Return the fields of the result of the action of a plan."""
     reason = {Code.GOAL_REACHED: "goal", Code.INVALID_GOAL: "parameters"}.get(ending.code, ending.cause or ending.code.word)
     return result_fields(ending.code, reason, ending.message, ending.results)
+
+
+def made_of(result: Mapping[str, Any]) -> MadePlan:
+    """Read the result of ``plan``, which has no plan if the action has not been carried out; raise a `RosError` then."""
+    if "plan" not in result:
+        raise RosError("the node makes no plans now: it is inactive, or stands by")
+    plan = result["plan"]
+    steps = tuple(
+        TaskStep(step["action"], tuple(step["arguments"]), step["start"], step["duration"], StepState.WAITING, tuple(step["after"]))
+        for step in plan["steps"]
+    )
+    odds = odds_of(SimpleNamespace(**result["odds"]))
+    return MadePlan(Code(result["code"]), result["message"], plan["goal"], steps, odds)
 
 
 def made_fields(made: MadePlan) -> Fields:

@@ -11,7 +11,9 @@ import pytest
 from mcp import Client, StdioServerParameters
 
 from planner_bridge.node import agents
-from planner_bridge.node.agents import MAX_CALLS, MAX_TEXT, Agents, offered_problem, server_of
+from planner_bridge.node.agents import MAX_CALLS, MAX_TEXT, Agents, server_of
+from planner_bridge.node.node_journal import latest_journal
+from planner_bridge.node.problem_service import served_files
 from planner_bridge.pipeline.loading import load
 from planner_bridge.tasks.settings import Settings
 from tests.support.e2e.command_line import pnm
@@ -30,7 +32,7 @@ def with_client(work: Callable[[Client], Awaitable[Any]]) -> Any:
     """Do the work with a client of the tools over files, in this process."""
 
     async def connected() -> Any:
-        async with Client(server_of(Agents(offered_problem(load(*FILES), Settings())))) as client:
+        async with Client(server_of(Agents(served_files(load(*FILES), Settings()), latest_journal))) as client:
             return await work(client)
 
     return asyncio.run(connected())
@@ -106,7 +108,7 @@ def test_no_more_calls_than_that_are_at_work_and_none_for_longer(monkeypatch):
             return {}
 
     async def connected() -> list[str]:
-        async with Client(server_of(Slow(offered_problem(load(*FILES), Settings())))) as client:
+        async with Client(server_of(Slow(served_files(load(*FILES), Settings()), latest_journal))) as client:
             return await asyncio.gather(*(asked(client, "see_world") for _ in range(MAX_CALLS + 2)))
 
     said = asyncio.run(connected())

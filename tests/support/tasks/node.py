@@ -51,7 +51,7 @@ class SlowPerson:
 def simulated(
     problem: Problem | None = None, *, chosen: Settings = USUAL, **how: Any
 ) -> Callable[[Callable[Concatenate[TaskSimulation, P], Awaitable[None]]], Callable[P, None]]:
-    """Run a test with the tasks of such a node, in simulation; a person that the test is given is asked for help, an approver about what is proposed."""
+    """Run a test with the tasks of such a node, in simulation; a person that the test is given is asked for help, an approver for a yes."""
 
     def wrap(scenario: Callable[Concatenate[TaskSimulation, P], Awaitable[None]]) -> Callable[P, None]:
         def test(*args: P.args, **kwargs: P.kwargs) -> None:
