@@ -8,7 +8,7 @@ from collections.abc import Awaitable, Callable
 from typing import Any
 
 import pytest
-from mcp import Client, StdioServerParameters
+from mcp import Client
 
 from planner_bridge.node import agents
 from planner_bridge.node.agents import MAX_CALLS, MAX_TEXT, Agents, server_of
@@ -16,16 +16,11 @@ from planner_bridge.node.node_journal import latest_journal
 from planner_bridge.node.problem_service import served_files
 from planner_bridge.pipeline.loading import load
 from planner_bridge.tasks.settings import Settings
+from tests.support.e2e.agents import asked, over_stdio
 from tests.support.e2e.command_line import pnm
 from tests.support.files import ROOT
 
 FILES = ROOT / "domains/delivery/domain.pddl", ROOT / "problems/delivery/p01.pddl"
-
-
-async def asked(client: Client, tool: str, **given: Any) -> Any:
-    """Call a tool; return its answer, or the text of its error."""
-    result = await client.call_tool(tool, given)
-    return result.content[0].text if result.is_error else result.structured_content
 
 
 def with_client(work: Callable[[Client], Awaitable[Any]]) -> Any:
@@ -44,8 +39,7 @@ def told(tool: str, **given: Any) -> Any:
 
 def test_a_client_over_the_standard_streams_reads_the_world_and_previews_a_plan_with_its_proof():
     async def read() -> tuple[Any, Any]:
-        command = StdioServerParameters(command=sys.executable, args=["-m", "planner_bridge", "mcp", *map(str, FILES)], cwd=str(ROOT))
-        async with Client(command) as client:
+        async with over_stdio(*map(str, FILES)) as client:
             return await asked(client, "see_world"), await asked(client, "preview", goal="(at r1 kitchen)")
 
     world, plan = asyncio.run(read())
