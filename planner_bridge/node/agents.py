@@ -9,9 +9,11 @@ from __future__ import annotations
 import asyncio
 import hmac
 import logging
+import os
 import re
+import threading
 from collections.abc import AsyncIterator, Awaitable, Callable, Iterable, Mapping
-from contextlib import asynccontextmanager
+from contextlib import asynccontextmanager, suppress
 from dataclasses import dataclass, field, replace
 from functools import wraps
 from math import inf
@@ -47,6 +49,8 @@ if TYPE_CHECKING:
 
 MAX_TEXT: Final = 10_000
 """Characters of a text that an agent sends."""
+MAX_BODY: Final = 200_000
+"""Bytes of a request over HTTP."""
 MAX_CALLS: Final = 8
 """Tools that are at work at the same time."""
 SECONDS: Final = 90.0
@@ -547,9 +551,33 @@ def server_of(agents: Agents, *, token: str = "", url: str = "") -> Any:
 
 
 async def serve_agents(agents: Agents, port: int | None = None, token: str = "") -> None:
-    """Serve over the standard streams until they are closed; with a port, over HTTP on this computer until a signal."""
-    if port is None:
-        await server_of(agents).run_stdio_async()
-    else:
+    """Serve over the standard streams until they are closed; with a port, over HTTP on this computer. A signal ends both in order."""
+    if port is not None:
         server = server_of(agents, token=token, url=f"http://{_HOST}:{port}")
-        await server.run_streamable_http_async(host=_HOST, port=port, stateless_http=True, json_response=True)
+        bounds = {"max_request_body_size": MAX_BODY, "stateless_http": True, "json_response": True}
+        await server.run_streamable_http_async(host=_HOST, port=port, **bounds)
+        return
+    end = _own_input()
+    serving, task = asyncio.ensure_future(server_of(agents).run_stdio_async()), asyncio.current_task()
+    try:
+        await asyncio.shield(serving)
+    except asyncio.CancelledError:
+        assert task is not None
+        task.uncancel()
+        end()
+        await serving
+
+
+def _own_input() -> Callable[[], None]:
+    """Have the standard input be a pipe of this process, and return what ends it: nothing else ends the SDK's thread that reads it."""
+    given, (reading, writing) = os.dup(0), os.pipe()
+    os.dup2(reading, 0)
+    os.close(reading)
+
+    def copy() -> None:
+        with suppress(OSError), os.fdopen(writing, "wb", buffering=0) as pipe:  # which may be closed meanwhile
+            while part := os.read(given, 65536):
+                pipe.write(part)
+
+    threading.Thread(target=copy, daemon=True).start()
+    return lambda: os.close(writing)

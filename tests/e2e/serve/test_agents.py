@@ -6,11 +6,13 @@ import asyncio
 import json
 from collections.abc import Callable
 from dataclasses import dataclass
+from random import Random
+from typing import Any
 
 import pytest
 from mcp import Client
 
-from tests.support.e2e.agents import asked, over_stdio, task_of
+from tests.support.e2e.agents import HttpServer, asked, free_port, hostile_call, over_http, over_stdio, task_of
 from tests.support.e2e.deployment import ProblemDeployment, SimulationProgram
 from tests.support.e2e.page import serving
 from tests.support.e2e.plan_deployment import Serving
@@ -32,6 +34,13 @@ class Node:
             file = written(self.deployment.folder / f"{abs(hash(policy))}.yaml", policy)
             more = ("--allow-goals", "--policy", str(file), *more)
         return over_stdio("--journal", self.journal, *more, environment=self.deployment.environment)
+
+    def serve_http(self, policy: str) -> tuple[HttpServer, str, str]:
+        """Have agents served over HTTP; return the server, its URL and its token."""
+        file = written(self.deployment.folder / "http.yaml", policy)
+        options = ("--allow-goals", "--policy", str(file), "--http", str(free_port()), "--journal", self.journal)
+        server = self.deployment.pnm(HttpServer, "mcp", *options)
+        return server, *server.listening()
 
     def moved(self) -> list[str]:
         """Return the actions that robots have begun."""
@@ -115,3 +124,46 @@ def test_an_agent_that_needs_no_yes_holds_and_ends_what_it_has_sent(node: Node) 
             assert "no task is going on" in await asked(client, "pause")
 
     asyncio.run(act())
+
+
+HOSTILE, GUESSED, AT_ONCE = 170, 30, 10
+"""Hostile calls, calls with guessed tokens, and how many come at the same time."""
+
+
+def test_two_hundred_hostile_calls_move_nothing_without_a_persons_yes(node: Node) -> None:
+    server, url, token = node.serve_http("confirm: always")
+    chosen, before = Random(30), node.moved()
+    guesses = ["", "x", token[:-1], token + "x", token.swapcase(), token[::-1]]
+    for number in range(GUESSED):
+        guess = guesses[number] if number < len(guesses) else f"{chosen.getrandbits(256):064x}"
+        call = {"name": "send_goal", "arguments": {"goal": "(at r1 store)"}}
+        body = json.dumps({"jsonrpc": "2.0", "id": number, "method": "tools/call", "params": call})
+        headers = {"content-type": "application/json", "accept": "application/json, text/event-stream"}
+        if number % 3:
+            headers["authorization"] = f"Bearer {guess}"
+        assert serving.asked(url, "/mcp", "POST", body, **headers)[0] == 401
+
+    async def attack() -> list[Any]:
+        said: list[Any] = []
+        async with over_http(url, token) as client:
+            for _ in range(HOSTILE // AT_ONCE):
+                heard = [task["id"] for task in (await asked(client, "status"))["tasks"]]
+                heard += [question["id"] for question in (await asked(client, "questions"))["questions"]]
+                calls = [hostile_call(chosen, heard) for _ in range(AT_ONCE)]
+                said += await asyncio.gather(*(asked(client, tool, **given) for tool, given in calls))
+            assert node.moved() == before
+            for task in (await asked(client, "status"))["tasks"]:
+                if task["is_from_here"] and task["state"] != "over":
+                    await asked(client, "cancel", task=task["id"])
+            sent = await asked(client, "send_goal", goal="(at r2 store)")  # it works on, for those who ask rightly
+            assert node.says(await open_question(client), "yes") == 200
+            assert (await task_of(client, sent["task"], lambda task: task["state"] == "over"))["code"] == "goal_reached"
+        return said
+
+    said = asyncio.run(attack())
+    assert len(node.moved()) > len(before)
+    assert sum(isinstance(one, dict) and "needs_yes" in one for one in said) >= 5  # some were proposed
+    assert not any("internal error" in str(one) for one in said)
+    server.process.terminate()
+    assert server.ended() == 0, str(server)
+    assert not any("Traceback" in line for line in server.err), str(server)
