@@ -25,6 +25,7 @@ ONLY = {
     "rich": "planner_bridge/cli/",
     "starlette": "planner_bridge/view/",
     "uvicorn": "planner_bridge/view/",
+    "mcp": "planner_bridge/node/agents.py",
 }
 
 
