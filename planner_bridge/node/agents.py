@@ -552,17 +552,22 @@ def server_of(agents: Agents, *, token: str = "", url: str = "") -> Any:
 
 async def serve_agents(agents: Agents, port: int | None = None, token: str = "") -> None:
     """Serve over the standard streams until they are closed; with a port, over HTTP on this computer. A signal ends both in order."""
+    task = asyncio.current_task()
+    assert task is not None
     if port is not None:
         server = server_of(agents, token=token, url=f"http://{_HOST}:{port}")
         bounds = {"max_request_body_size": MAX_BODY, "stateless_http": True, "json_response": True}
-        await server.run_streamable_http_async(host=_HOST, port=port, **bounds)
+        try:
+            await server.run_streamable_http_async(host=_HOST, port=port, **bounds)
+            await asyncio.sleep(0)  # uvicorn passes the signal on that has ended it
+        except asyncio.CancelledError:
+            task.uncancel()
         return
     end = _own_input()
-    serving, task = asyncio.ensure_future(server_of(agents).run_stdio_async()), asyncio.current_task()
+    serving = asyncio.ensure_future(server_of(agents).run_stdio_async())
     try:
         await asyncio.shield(serving)
     except asyncio.CancelledError:
-        assert task is not None
         task.uncancel()
         end()
         await serving

@@ -12,12 +12,12 @@ from typing import Any
 from urllib.parse import urlsplit
 from uuid import UUID, uuid4, uuid5
 
+import httpx2
 from mcp import Client, StdioServerParameters
 from mcp.client.streamable_http import streamable_http_client
-from mcp.shared._httpx_utils import create_mcp_http_client
 
 from tests.support.files import ROOT
-from tests.support.processes import Program, until
+from tests.support.processes import LIMIT, Program, until
 
 
 def over_stdio(*arguments: str, environment: Mapping[str, str] | None = None) -> Client:
@@ -54,9 +54,12 @@ class HttpServer(Program):
 
 @asynccontextmanager
 async def over_http(url: str, token: str) -> AsyncIterator[Client]:
-    """Yield a client with a token."""
-    headers = {"authorization": f"Bearer {token}"}
-    async with create_mcp_http_client(headers=headers) as guarded, Client(streamable_http_client(url, http_client=guarded)) as client:
+    """Yield a client with a token; it keeps no connection, which a server would close when a busy machine is slow."""
+    headers, limits = {"authorization": f"Bearer {token}"}, httpx2.Limits(max_keepalive_connections=0)
+    async with (
+        httpx2.AsyncClient(headers=headers, limits=limits, timeout=LIMIT) as guarded,
+        Client(streamable_http_client(url, http_client=guarded)) as client,
+    ):
         yield client
 
 
