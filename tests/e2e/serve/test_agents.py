@@ -12,11 +12,11 @@ from typing import Any
 import pytest
 from mcp import Client
 
-from tests.support.e2e.agents import HttpServer, asked, free_port, hostile_call, over_http, over_stdio, task_of
 from tests.support.e2e.deployment import ProblemDeployment, SimulationProgram
 from tests.support.e2e.page import serving
 from tests.support.e2e.plan_deployment import Serving
 from tests.support.files import written
+from tests.support.logic.agents import HttpServer, asked, free_port, hostile_call, over_http, over_stdio, task_of
 
 
 @dataclass(frozen=True)

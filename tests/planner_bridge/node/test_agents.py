@@ -16,9 +16,9 @@ from planner_bridge.node.node_journal import latest_journal
 from planner_bridge.node.problem_service import served_files
 from planner_bridge.pipeline.loading import load
 from planner_bridge.tasks.settings import Settings
-from tests.support.e2e.agents import asked, over_stdio
 from tests.support.e2e.command_line import pnm
 from tests.support.files import ROOT
+from tests.support.logic.agents import asked, over_stdio
 
 FILES = ROOT / "domains/delivery/domain.pddl", ROOT / "problems/delivery/p01.pddl"
 

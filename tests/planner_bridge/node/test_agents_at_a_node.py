@@ -20,8 +20,8 @@ from pnm.errors import InputError
 from pnm.knowledge.people import APPROVAL
 from pnm.ros.tasks.task_messages import made_fields
 from pnm.tasks import Code, MadePlan, StepState, TaskOdds, TaskState, TaskStep
-from tests.support.e2e.agents import asked
 from tests.support.files import ROOT, written
+from tests.support.logic.agents import asked
 
 PROBLEM = load(ROOT / "domains/delivery/domain.pddl", ROOT / "problems/delivery/p01.pddl")
 OTHERS = uuid4()
@@ -66,6 +66,19 @@ class PlayedNode:
 
     async def answer(self, question: str, text: str) -> None:
         self.done.append((question, text))
+
+
+class Heard(asyncio.Queue[Any]):
+    """Messages, and whether all have been heard."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.all = asyncio.Event()
+
+    async def get(self) -> Any:
+        if self.empty():
+            self.all.set()
+        return await super().get()
 
 
 def at(node: PlayedNode, approval: Approval | None, work: Callable[[Client, OfferedNode], Awaitable[Any]]) -> Any:
@@ -158,13 +171,12 @@ def test_an_agent_answers_questions_but_approves_nothing():
     node = PlayedNode()
 
     async def act(client: Client, offered: OfferedNode) -> list[Any]:
-        heard, offered_all = asyncio.Queue[Any](), asyncio.Event()
-        heard.task_done = offered_all.set  # type: ignore[method-assign]
+        heard = Heard()
         hearing = asyncio.create_task(offered.hear(heard))
         for id, name in (("a", APPROVAL), ("b", "drink"), ("c", "help")):
             heard.put_nowait(SimpleNamespace(id=id, name=name, text=f"{name}?\x1b[2J", kind=0, ASK=0))
         heard.put_nowait(SimpleNamespace(id="c", kind=1, ASK=0))
-        await offered_all.wait()
+        await heard.all.wait()
         hearing.cancel()
         listed = (await asked(client, "questions"))["questions"]
         return [listed, *[await asked(client, "answer", question=id, text="yes") for id in ("a", "b", "c", "A")]]
