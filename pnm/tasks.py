@@ -223,6 +223,11 @@ def shortened(text: str) -> str:
     return text if len(text) <= SHOWN else f"{text[: SHOWN - 1]}…"
 
 
+def results_text(results: Mapping[str, object]) -> str:
+    """Return the variables that a plan gives back, on one line, such as ``worst: 31, shop: bakery``."""
+    return ", ".join(f"{name}: {value if isinstance(value, str) else json.dumps(value, default=str)}" for name, value in results.items())
+
+
 @dataclass(frozen=True, slots=True)
 class TaskStep:
     """One call of a plan and how far it has come."""

@@ -16,7 +16,7 @@ from planner_bridge.cli.options import planner_words, print_warnings, waiting
 from planner_bridge.model.plan import Plan, PlanningResult
 from planner_bridge.node.node_log import NodeObserver, standing_words
 from planner_bridge.tasks.replanning import BetterRest, Foreseen, PlanAgain, ResumePlan, decision_words
-from planner_bridge.tasks.result import TaskResult, Violation
+from planner_bridge.tasks.result import PlanResult, TaskResult, Violation
 from planner_bridge.tasks.settings import TaskObserver
 from planner_bridge.tasks.task import passed_limit
 from planner_bridge.view.serving import Operator, PageProcess
@@ -27,7 +27,7 @@ from pnm.core.machine.plan_graph import ActionCall, GroundAction, step_words
 from pnm.core.machine.requests import Outcome, OutcomeKind, Request
 from pnm.core.machine.verification.verify import Proof
 from pnm.errors import Tolerated, counted
-from pnm.tasks import Code, ServedWorld, TaskCommands, TaskEnding, TaskListener, Tasks, TraceEvent, shortened
+from pnm.tasks import Code, ServedWorld, TaskCommands, TaskEnding, TaskListener, Tasks, TraceEvent, results_text, shortened
 
 if TYPE_CHECKING:
     from planner_bridge.pipeline.roll_outs import VettedPlan
@@ -273,6 +273,8 @@ def print_result(console: SafeConsole, result: TaskResult) -> None:
         lines.append(f"preference {preference.name or '(without a name)'} is {preference.status}{times}")
     for line in lines:
         console.print_text(line, " " * INDENT)
+    if isinstance(result, PlanResult) and result.results:
+        console.print_text(results_text(result.results), "[bold]results[/]  ")
 
 
 # --- the console of a node ------------------------------------------------------------------------
@@ -383,4 +385,5 @@ class TaskConsole(TaskListener):
     def ended(self, task: UUID, ending: TaskEnding) -> None:
         """Print how a task ended."""
         word = "[bold green]reached[/]" if ending.code is Code.GOAL_REACHED else f"[bold red]{ending.code.word}[/]"
-        self._lines.print(self._loop.time(), word, shortened(ending.message), f"{task.hex[:8]}  ")
+        message = f"{ending.message}; {results_text(ending.results)}" if ending.results else ending.message
+        self._lines.print(self._loop.time(), word, shortened(message), f"{task.hex[:8]}  ")

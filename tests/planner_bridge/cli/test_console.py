@@ -34,10 +34,10 @@ def run(folder: Path, *faults: str, domain: str = TWICE, init: str = "", goal: s
     return pnm("run", str(folder / "d.pddl"), str(folder / "p.pddl"), "--faults", str(folder / "f.yaml"), *options)
 
 
-def plan(folder: Path, text: str) -> Done:
+def plan(folder: Path, text: str, *options: str) -> Done:
     """Run a plan by hand."""
     (folder / "plan.yaml").write_text(text)
-    return pnm("run", "--plan", str(folder / "plan.yaml"))
+    return pnm("run", "--plan", str(folder / "plan.yaml"), *options)
 
 
 def test_seconds_count_from_the_beginning_of_the_task(tmp_path: Path) -> None:
@@ -108,6 +108,12 @@ def test_a_question_without_an_answer_is_told_also_where_the_plan_goes_on(tmp_pa
     done = plan(tmp_path, f"actions: {{ring: }}\nplan: [{choice}]\n")
     assert done.returncode == 0
     assert done.stderr == "person[bell] has no answer: a person was to be asked or told something, but there is no terminal to do it on\n"
+
+
+def test_the_results_of_a_plan_are_printed_behind_its_end(tmp_path: Path) -> None:
+    text = "params: [worst, told]\nactions: {go: }\nresults: [worst, told]\nplan: [go: ]\n"
+    done = plan(tmp_path, text, "--set", "worst=31", "--set", "told=a b")
+    assert done.stdout.splitlines()[-1] == "results  worst: 31, told: a b"
 
 
 # --- `pnm watch` ---
