@@ -63,7 +63,7 @@ class Executor:
     """Whether the run was carried out, and is not any more."""
 
     def __post_init__(self) -> None:
-        self._asker = Asker(self.run.id, self.name)
+        self._asker = Asker(self.run.id, self.name, task=self.run.task)
         self._source_tasks: dict[UUID, asyncio.Task[None]] = {}
         self._inbox: asyncio.Queue[events.Event] = asyncio.Queue()
         if self.run.begun:  # in another process; before anything else, such as a stop, which could cancel no request that is not attached

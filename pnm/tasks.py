@@ -374,6 +374,9 @@ class Tasks(TaskCommands, Protocol):
     def answer(self, question: UUID, text: str, /) -> None:
         """Answer a question to a person; raise `TaskRefused` if nobody waits for that, `SourceError` if the text is no answer to it."""
 
+    def answer_of(self, task: UUID, name: str, text: str, /) -> None:
+        """Answer the question of a task, of this name unless it is empty; raise as `answer`, and if not just one is open."""
+
     def status(self) -> tuple[TaskStatus, ...]:
         """Return the status of all tasks that are not over, in the order in which they are served, and of those that ended last."""
 

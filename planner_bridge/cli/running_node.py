@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import json
 import sys
 from collections.abc import Awaitable, Callable
 from contextlib import closing, suppress
@@ -33,7 +34,7 @@ from pnm.files.yaml_nodes import load_yaml
 from pnm.journal.kept import Fenced
 from pnm.ros.node.parameters import NodeParameter, ParameterValue
 from pnm.ros.tasks.executor_topics import odds_of, task_as_json
-from pnm.tasks import Code, OnConflict, TaskState, TraceEvent, TraceKind, percent
+from pnm.tasks import Code, OnConflict, TaskState, TraceEvent, TraceKind, percent, results_text
 
 if TYPE_CHECKING:
     from pnm.ros.node_client import NodeClient
@@ -196,17 +197,31 @@ def watch(namespace: str) -> int:
 @click.option(
     "--odds", "least", type=click.FloatRange(0.0, 1.0), help="print the odds, and send it only with this chance at least; a terminal asks"
 )
+@options.set_option
 @namespace_option
 @options.as_json_option
 @command
-def goal(*, goal: str, priority: int, deadline: float | None, policy: str, least: float | None, namespace: str, as_json: bool) -> int:
+def goal(
+    *,
+    goal: str,
+    priority: int,
+    deadline: float | None,
+    policy: str,
+    least: float | None,
+    given: tuple[str, ...],
+    namespace: str,
+    as_json: bool,
+) -> int:
     """Send a goal, and follow it to its end.
 
-    GOAL is a condition in PDDL or the name of a goal; by default the goal of the node's problem.
+    GOAL is a condition in PDDL, or the name of a goal or of a hand-written plan of the node; by default the goal of the node's problem.
     Prints all events of the task. Ctrl-C cancels it. With --odds, the node makes a plan first, from the world as it is then.
     """
     console, task = SafeConsole(), uuid4()
-    fields = {"goal": goal, "priority": priority, "deadline": deadline or 0.0, "policy": int(OnConflict[policy.upper()])}
+    ranked = {"priority": priority, "deadline": deadline or 0.0}
+    parameters = json.dumps(options.plan_parameters(given), default=str) if given else ""
+    if given and (least is not None or policy != "default" or "(" in goal or not goal):
+        raise InputError("--set is for a hand-written plan; expected its name as GOAL, without --odds and --policy")
 
     async def print_events(heard: asyncio.Queue[Any]) -> None:
         with closing(EventPrinter(console)) as printer:
@@ -219,7 +234,9 @@ def goal(*, goal: str, priority: int, deadline: float | None, policy: str, least
         async with node.hearing(*_TRACE) as heard:
             printing = asyncio.create_task(print_events(heard))
             try:
-                return await node.achieve(fields, task)
+                if parameters or (goal.replace("-", "_").isidentifier() and least is None and await node.has_plan(goal)):
+                    return await node.execute(goal, parameters, ranked, task)
+                return await node.achieve({"goal": goal, "policy": int(OnConflict[policy.upper()]), **ranked}, task)
             finally:
                 printing.cancel()
 
@@ -244,9 +261,34 @@ def goal(*, goal: str, priority: int, deadline: float | None, policy: str, least
     else:
         if is_reached:
             console.print_text("holds", "[bold green]goal[/]     ")
+            if results := json.loads(outcome.result.get("results", "{}")):
+                console.print_text(results_text(results), "[bold]results[/]  ")
         else:
             console.print(Text.assemble(("goal", "bold red"), f"     not reached: {outcome.message or outcome.kind.value}"))
     return 0 if is_reached else 2 if outcome.result.get("code") == Code.INVALID_GOAL else 1
+
+
+@click.command(epilog="Examples: pnm answer yes; pnm answer 3f2a 'the kitchen'")
+@click.argument("words", nargs=-1, required=True, metavar="[TASK] TEXT")
+@click.option("--name", default="", help="the variable that is asked for, if the task asks several questions")
+@namespace_option
+@command
+def answer(words: tuple[str, ...], name: str, namespace: str) -> int:
+    """Answer a question that a task of the node asks a person.
+
+    TASK is the beginning of its id; by default the only running task. `pnm status` lists the questions. The first answer counts.
+    """
+    *prefix, text = words
+    if len(prefix) > 1:
+        raise InputError("expected the beginning of the id of a task and one text; a text with spaces needs quotes")
+
+    async def apply(node: NodeClient) -> str:
+        task = await node.task("".join(prefix))
+        await node.ask("pnm_interfaces/srv/UpdateKnowledge", "executor/answer", {"goal_id": task, "name": name, "value": text})
+        return task.hex[:8]
+
+    print(f"{_with_node(namespace, apply)}: answered")
+    return 0
 
 
 @click.command(epilog="Example: pnm pause 3f2a --at-once")

@@ -194,7 +194,7 @@ class GoalLoop:
         reason = f"asks for help: {join_reasons(ended.reason, history.remedy(context.settings.limits, context.runner.backend.missing))}"
         if self._question is None:
             trouble = f"This goal cannot be reached: {reason.removeprefix('asks for help: ')}"
-            asker = Asker(task.id, task.wanted.text or str(context.problem.goal), uuid5(task.id, f"help {self._log.helped}"))
+            asker = Asker(task.id, task.wanted.text or str(context.problem.goal), uuid5(task.id, f"help {self._log.helped}"), task.id)
             self._question = asyncio.ensure_future(ask_for_help(helper, asker, trouble, context.note))
             context.observer.blocked(reason)
         # What was replaced too often is not replaced once more because facts keep changing.

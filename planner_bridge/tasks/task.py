@@ -26,6 +26,7 @@ from pnm.core.net.net import Marking
 from pnm.errors import counted
 from pnm.journal.journal import Journal
 from pnm.journal.replay import ReplayedTask
+from pnm.knowledge.sources import OpenQuestion
 from pnm.tasks import (
     EVENTS,
     Code,
@@ -119,6 +120,8 @@ class Task(TaskObserver):
     """The time and the reason of the last new plan."""
     odds: tuple[TaskOdds, float] | None = None
     """Those of what is left of its plan, and the time at which they were so."""
+    questions: tuple[OpenQuestion, ...] = ()
+    """What people are asked for it now."""
     is_abandoned: bool = False
     """Whether it was left alone because it could not be ended in order."""
 
@@ -174,7 +177,7 @@ class Task(TaskObserver):
             wanted.text or self.goal,
             wanted.priority,
             control.state,
-            control.reason or (self.replanned if control.state is TaskState.RUNNING else ""),
+            control.reason or self._asks or (self.replanned if control.state is TaskState.RUNNING else ""),
             tuple(call for call, _ in under_way),
             self.ended_calls,
             self.replans,
@@ -237,6 +240,18 @@ class Task(TaskObserver):
         if EVENTS.isEnabledFor(level):
             EVENTS.log(level, "%s %s", self.id.hex[:8], ": ".join(filter(None, (kind.word, subject, text))))
         self.listener.happened(event)
+
+    def asking(self, questions: tuple[OpenQuestion, ...]) -> None:
+        """Note what people are asked for it from now on; a task that asks for help is in a state with these words already."""
+        if questions != self.questions:
+            self.questions = questions
+            if self.ending is None and not self.control.reason:
+                self.note(TraceKind.STATE, "", ": ".join(filter(None, (self.control.state.word, self._asks))))
+            self.listener.changed(self.id)
+
+    @property
+    def _asks(self) -> str:
+        return f"asks: {'; '.join(map(str, self.questions))}" if self.questions else ""
 
     def restore(self, kept: ReplayedTask) -> None:
         """Note the progress of the task in another process: its plans, the calls that have ended, and its ending if it is over."""

@@ -116,6 +116,8 @@ class TaskManager:
         self._listeners: list[TaskListener] = [self._preemption]
         self._listener = broadcast(TaskListener, self._listeners)
         self._stop_listening = self._resources.listen(self._preemption.preempt_holders)
+        for source in self._people:
+            source.listeners.append(self._note_questions)
 
     def __repr__(self) -> str:
         return f"<TaskManager {len(self._tasks)} tasks>"
@@ -297,6 +299,23 @@ class TaskManager:
         """Answer a question to a person; raise a `SourceError` for a text that is no answer to it."""
         if not any(source.answer(question, text) for source in self._people):
             raise TaskRefused("this question is no longer open")
+
+    def _note_questions(self) -> None:
+        opened = [question for source in self._people for question in source.open_questions]
+        for task in tuple(self._tasks.values()):
+            task.asking(tuple(question for question in opened if question.asker.task == task.id))
+
+    def answer_of(self, task: UUID, name: str, text: str, /) -> None:
+        """Answer the question of a task, of this name unless it is empty; raise `TaskRefused` if not just one is open."""
+        (asking,) = self._chosen(task)
+        fitting = [one for one in asking.questions if name in ("", one.question.name)]
+        if len(fitting) != 1:
+            known = ", ".join(f"{one.question.name} ({one})" for one in asking.questions)
+            expected = f"expected the name of one question: {known}" if known else "it asks nothing"
+            raise TaskRefused(f"{expected}, in the task {asking.name}")
+        (id,) = (one.asker.question for one in fitting)
+        assert id is not None
+        self.answer(id, text)
 
     def status(self) -> tuple[TaskStatus, ...]:
         """Return the status of all tasks that are not over, in the order in which they are served, and of those that ended last."""

@@ -42,6 +42,13 @@ def question_text(question: Question) -> str:
     return "What do you say?" if question.name in PSEUDO else f"What is {question.name}?"
 
 
+def question_words(question: Question) -> str:
+    """Return the wording of a question, with its ``answers`` if it names any."""
+    answers = _meta(question).get("answers")
+    choices = f" ({' or '.join(map(str, answers))})" if isinstance(answers, list) else ""
+    return f"{question_text(question)}{choices}"
+
+
 def message_text(question: Question, value: object) -> str:
     """Return the text of a message to a person."""
     shown = value if isinstance(value, str) else json.dumps(value, ensure_ascii=False, default=str)

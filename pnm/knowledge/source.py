@@ -27,6 +27,8 @@ class Asker:
     """Its plan, as shown to a person."""
     question: UUID | None = None
     """The identity of a question, also when it is asked again by another process."""
+    task: UUID | None = None
+    """The task of the run, which is shown as asking."""
 
 
 class Source(Protocol):

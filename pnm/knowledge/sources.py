@@ -29,7 +29,7 @@ from pnm.files.database.database import Database
 from pnm.files.database.driver import DatabaseError, Layout, SqlQuery
 from pnm.files.database.place import Place, ServerUrl
 from pnm.files.text import private_folder
-from pnm.knowledge.people import ANSWER_LIMIT, ScriptedAnswers, TerminalSource, is_for_people, is_terminal, read_answer
+from pnm.knowledge.people import ANSWER_LIMIT, ScriptedAnswers, TerminalSource, is_for_people, is_terminal, question_words, read_answer
 from pnm.knowledge.source import Asker, MemoryKnowledge, Source, SourceError, read_value, write_value
 
 GRACE: Final = 1.0
@@ -42,6 +42,17 @@ T = TypeVar("T")
 _log = logging.getLogger(__name__)
 
 
+@dataclass(frozen=True, slots=True)
+class OpenQuestion:
+    """A question that people are asked, and on whose behalf; in words with the answers to choose from."""
+
+    question: Question
+    asker: Asker
+
+    def __str__(self) -> str:
+        return question_words(self.question)
+
+
 class Sources:
     """The global knowledge in one or more knowledge bases, and a person; itself a `Source`.
 
@@ -49,7 +60,8 @@ class Sources:
     later query finds it. Questions for people (`is_for_people`) go to the person. A knowledge base that fails is an error and
     never skipped: the next one might have another value. The limits are in seconds, for each knowledge base and for the person.
 
-    The mutable state is the questions that people are asked, by their ids: answers may come by other ways as well (`answer`).
+    The mutable state is the questions that people are asked, by their ids: answers may come by other ways as well (`answer`); and who
+    hears of each that opens or closes (`listeners`).
     """
 
     def __init__(
@@ -59,7 +71,8 @@ class Sources:
         self._person = person
         self._limit = limit
         self._person_limit = person_limit
-        self._open: dict[UUID, tuple[Question, asyncio.Future[object]]] = {}
+        self._open: dict[UUID, tuple[OpenQuestion, asyncio.Future[object]]] = {}
+        self.listeners: list[Callable[[], None]] = []
 
     def __repr__(self) -> str:
         return f"<Sources {', '.join(map(repr, self._shared)) or 'no knowledge base'}; {self._person or 'nobody'!r}>"
@@ -75,12 +88,17 @@ class Sources:
                 return value
         return MISSING
 
+    @property
+    def open_questions(self) -> tuple[OpenQuestion, ...]:
+        """The questions that people are asked now, the oldest first."""
+        return tuple(question for question, _ in self._open.values())
+
     def answer(self, question: UUID, text: str) -> bool:
         """Take a person's answer from elsewhere; return whether the question is open. Raise `SourceError` if the text is no answer."""
         asked, waiting = self._open.get(question, (None, None))
         if asked is None or waiting is None or waiting.done():
             return False
-        waiting.set_result(read_answer(text, asked))
+        waiting.set_result(read_answer(text, asked.question))
         return True
 
     async def _ask(self, person: Source, question: Question, asker: Asker) -> object:
@@ -89,12 +107,14 @@ class Sources:
             return await person.query(question, asker)
         asking = asyncio.ensure_future(person.query(question, asker))
         answered: asyncio.Future[object] = asyncio.get_running_loop().create_future()
-        self._open[asker.question] = (question, answered)
+        self._open[asker.question] = (OpenQuestion(question, asker), answered)
+        self._tell()
         try:
             await asyncio.wait((asking, answered), return_when=asyncio.FIRST_COMPLETED)
             return answered.result() if answered.done() else await asking
         finally:
             del self._open[asker.question]
+            self._tell()
             asking.add_done_callback(lambda asked: asked.cancelled() or asked.exception())  # nobody else looks at what went wrong
             if not asking.done():
                 asking.cancel()
@@ -119,6 +139,10 @@ class Sources:
         for source, error in zip(sources, errors, strict=True):
             if isinstance(error, Exception):
                 _log.warning("%r cannot be closed: %s", source, error)
+
+    def _tell(self) -> None:
+        for listener in self.listeners:
+            listener()
 
     def _person_for(self, question: Question) -> Source:
         if self._person is None:

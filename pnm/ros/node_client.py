@@ -18,6 +18,7 @@ from pnm.errors import InputError, RosError
 from pnm.knowledge.source import SourceError
 from pnm.ros.action_client.client import Ros2ActionClient
 from pnm.ros.knowledge import DEPTH
+from pnm.ros.node.graph import server_name, servers
 from pnm.ros.node.messages import import_type, to_message
 from pnm.ros.node.ros_thread import RosThread, call_on_loop, profile
 from pnm.ros.node.services import ServiceClient, until_true
@@ -98,6 +99,19 @@ class NodeClient:
         report = await self._carry_out(server, "AchieveGoal", goal, task, Accepted)
         if isinstance(report, Ended):
             raise RosError(f"the node has not accepted the goal: {report.outcome.message or report.outcome.kind.value}")
+
+    async def execute(self, plan: str, parameters: str, goal: Mapping[str, object], task: UUID) -> Outcome:
+        """Have a plan that the node has loaded carried out, as `achieve` does; its parameters are a mapping as JSON."""
+        return _outcome(await self._carry_out("execute_plan", "ExecutePlan", {"plan": plan, "parameters": parameters, **goal}, task))
+
+    async def has_plan(self, name: str) -> bool:
+        """Return whether the node has loaded a plan of this name, which has an action server then."""
+        await self._ros.settled()
+
+        def look() -> bool:
+            return "pnm_interfaces/action/RunPlan" in servers(self._ros.node).get(server_name(self._ros.node, name), ())
+
+        return await self._ros.ask(look)
 
     async def plan(self, goal: str, *, with_new_plans: bool = True) -> Outcome:
         """Have a plan made for a goal, with its odds; they are with new plans after failures, unless that takes the node too long."""

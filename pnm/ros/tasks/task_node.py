@@ -94,6 +94,7 @@ class TaskNode:
                 "executor/cancel": ("pnm_interfaces/srv/CancelTask", lambda request: self.cancel(_id(request.task))),
                 "executor/hands/query": ("pnm_interfaces/srv/QueryKnowledge", self._query_hands),
                 "executor/hands/update": ("pnm_interfaces/srv/UpdateKnowledge", self._update_hands),
+                "executor/answer": ("pnm_interfaces/srv/UpdateKnowledge", self._answer),
                 "knowledge/query": ("pnm_interfaces/srv/QueryFacts", self._query),
                 "knowledge/update": ("pnm_interfaces/srv/UpdateFacts", self._update),
                 "problem/get": ("pnm_interfaces/srv/GetProblem", self._get),
@@ -216,6 +217,11 @@ class TaskNode:
 
     async def _update(self, request: Any) -> Fields:
         return {"changed": await self._world.update(request.add, request.remove, request.forget)}
+
+    async def _answer(self, request: Any) -> None:
+        if (task := _id(request.goal_id)) is None:
+            raise TaskRefused("expected the id of a task as goal_id")
+        self._tasks.answer_of(task, request.name, request.value)
 
     async def _get(self, _request: Any) -> Fields:
         domain, problem = await self._world.get()

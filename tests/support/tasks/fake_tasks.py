@@ -132,6 +132,9 @@ class FakeTasks:
         read_answer(text, Question("said", Layer.PERSON, ""))
         self._said("answer", question, text)
 
+    def answer_of(self, task: UUID, name: str, text: str, /) -> None:
+        self._said("answer_of", *self._meant(task), name, text)
+
     def status(self) -> tuple[TaskStatus, ...]:
         return tuple(self.open.values())
 
