@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Final
@@ -28,16 +28,30 @@ from pnm.errors import InputError
 _STYLES: Final = {ReadyState.READY: "green", ReadyState.UNFIT: "bold red"}
 
 
-@click.command(epilog="Example: pnm init my_robot")
+TEMPLATES: Final = ("dialogue", "pick-place", "two-robots-door-battery")
+"""The names of small worlds that run in simulation at once."""
+
+
+@click.command(epilog="Examples: pnm init my_robot; pnm init my_robot --template pick-place")
 @click.argument("folder", type=options.FILE)
+@click.option("--template", type=click.Choice(TEMPLATES), help="write a small world that runs in simulation at once, to be edited")
 @options.force_option
 @options.command
-def init(folder: Path, force: bool) -> int:
+def init(folder: Path, template: str | None, force: bool) -> int:
     """Write first files for a running robot.
 
     Writes a domain, a problem, bindings and sensors for the ROS graph into FOLDER.
     They pass `pnm check`. Every line that needs your decision has a comment with the word `decide`.
+    With --template, writes files of that world instead, without a look at the ROS graph.
     """
+    if template:
+        from planner_bridge.cli.demo import examples  # here, because robots need no examples
+
+        files = sorted((examples() / "domains" / "templates" / template).iterdir())
+        _write({file.name: file.read_text(encoding="utf-8") for file in files}, folder, force=force)
+        world = f"{folder / 'domain.pddl'} {folder / 'problem.pddl'}"
+        print(f"next: pnm run {world}; the same over ROS 2: pnm simulate {world}, and in another terminal pnm run {world} --actions ros2")
+        return 0
     name = re.sub(r"\W", "-", folder.resolve().name.lower()).strip("-") or "robot"
 
     async def look() -> dict[str, str]:
@@ -51,15 +65,19 @@ def init(folder: Path, force: bool) -> int:
             return first_files(await ros.ask(lambda: snapshot(ros.node)), name)
 
     texts = run_async(look())
+    _write(texts, folder, force=force)
+    decisions = sum(text.count("decide: ") for text in texts.values())
+    files = f"{folder / 'domain.pddl'} {folder / 'problem.pddl'}"
+    print(f"{decisions} lines need a decision: look for `decide`. Then: pnm check {files} --sensing {folder / 'sensing.yaml'}")
+    return 0
+
+
+def _write(texts: Mapping[str, str], folder: Path, *, force: bool) -> None:
     try:
         folder.mkdir(exist_ok=True)
     except OSError as error:
         raise InputError(f"{folder}: not a folder, and none can be made there: {error.strerror}") from error
     options.write_files({folder / name: text for name, text in texts.items()}, force=force)
-    decisions = sum(text.count("decide: ") for text in texts.values())
-    files = f"{folder / 'domain.pddl'} {folder / 'problem.pddl'}"
-    print(f"{decisions} lines need a decision: look for `decide`. Then: pnm check {files} --sensing {folder / 'sensing.yaml'}")
-    return 0
 
 
 @click.command(epilog="Example: pnm check domain.pddl problem.pddl --sensing sensing.yaml")
