@@ -28,7 +28,7 @@ from pnm.knowledge.state_reports import StateReports
 from pnm.ros.action_client.client import Ros2ActionClient
 from pnm.ros.knowledge import KnowledgeServices, service_prefix
 from pnm.ros.node.graph import GraphSnapshot, absence, resolved, server_name, similar, snapshot
-from pnm.ros.node.messages import fields, fitted_binding, import_type
+from pnm.ros.node.messages import fields, fitted_binding, has_own_types, import_type
 from pnm.ros.node.ros_thread import RosThread
 from pnm.ros.sensors import TOPIC, SensedReports, Sensors, SensorUse, checked
 from pnm.ros.sim_time import USE_SIM_TIME, follow_sim_time
@@ -170,6 +170,8 @@ class Ros2Backend:
 
     async def share(self, mark: bytes, find: FindKnowledge, source: Source) -> None:
         """Offer the two services that action servers find by the identity of their goal."""
+        if not has_own_types():  # servers that ask for knowledge find none then
+            return
         self._services.append(KnowledgeServices(self.ros, asyncio.get_running_loop(), service_prefix(mark), find, source))
         await self._services[-1].open()
 

@@ -20,7 +20,7 @@ from pnm.knowledge.sensor_model import ByService, Instance, Reading, Sensing, in
 from pnm.knowledge.source import SourceError
 from pnm.knowledge.state_reports import StalenessWatchdog
 from pnm.ros.node.graph import resolved
-from pnm.ros.node.messages import FieldError, fitted, import_type, to_message, value_at
+from pnm.ros.node.messages import FieldError, fitted, has_own_types, import_type, to_message, value_at
 from pnm.ros.node.ros_thread import RosThread, call_on_loop, profile
 from pnm.ros.node.services import ServiceClient
 
@@ -442,6 +442,9 @@ Listener = Callable[[frozenset[str], Facts, int], None]
 Refuse = Callable[[frozenset[str], str], None]
 
 
+_STATE: Final = "pnm_interfaces/msg/State"
+
+
 class SensedReports:
     """Passes every report on ``knowledge/sensed`` to a listener, on the event loop's thread: names, true facts, sequence number.
 
@@ -459,20 +462,24 @@ class SensedReports:
         self._heard = asyncio.Event()
         self._closed = False
         self._subscription: Any = None
-        state = import_type("pnm_interfaces/msg/State")
 
         def subscribe() -> None:
-            self._subscription = ros.node.create_subscription(state, topic, self._receive, profile(10, latched=True))
+            self._subscription = ros.node.create_subscription(import_type(_STATE), topic, self._receive, profile(10, latched=True))
 
-        ros.call(subscribe)
+        if has_own_types():
+            ros.call(subscribe)
 
     async def first(self, limit: float) -> bool:
-        """Wait for the first report until `limit` seconds are over, or the graph is known to have no publisher; return whether it came."""
+        """Wait for the first report until `limit` seconds are over, or the graph is known to have no publisher; return whether it came.
+
+        Raises `InputError` if there is a publisher, but the type of its reports is not installed.
+        """
         try:
             async with asyncio.timeout(limit):
                 await _first_of(self._ros.settled(), self._heard.wait())
-                if not (self._heard.is_set() or await self._ros.ask(lambda: self._subscription.get_publisher_count())):
+                if not (self._heard.is_set() or await self._ros.ask(lambda: self._ros.node.count_publishers(self._topic))):
                     return False
+                import_type(_STATE)
                 await self._heard.wait()
         except TimeoutError:
             _log.warning("nothing was reported on %s within %g s", self._topic, limit)

@@ -10,7 +10,7 @@ Plain data has the types of JSON: bool, int, float, str, list and dict. A byte i
 
 from __future__ import annotations
 
-import importlib
+import importlib.util
 import math
 import re
 from collections.abc import Callable, Mapping, Sequence
@@ -46,6 +46,11 @@ class FieldError(PnmError):
         self.path = path
         self.needs = needs
         self.got = got
+
+
+def has_own_types() -> bool:
+    """Return whether `pnm_interfaces` is installed, without which a run has neither knowledge services nor reports on ``knowledge/sensed``."""
+    return importlib.util.find_spec("pnm_interfaces") is not None
 
 
 def import_type(name: str) -> Any:

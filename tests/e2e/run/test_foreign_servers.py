@@ -42,11 +42,12 @@ def test_goals_are_filled_from_bindings_and_from_results_of_earlier_actions(worl
     assert all(call["assumed"] for call in result["calls"]), "nothing senses what these actions have done"
 
 
-def test_the_first_files_for_them_pass_the_check_and_reach_their_goal(world, tmp_path) -> None:
+@pytest.mark.parametrize("command", ["planner_bridge", "tests.support.e2e.programs.without_our_messages"])
+def test_the_first_files_for_them_pass_the_check_and_reach_their_goal(world, tmp_path, command: str) -> None:
     deployment, _ = world
 
     def ends(status: int, *arguments: str) -> Program:
-        program = deployment.pnm(Program, *arguments)
+        program = deployment.module(Program, command, *arguments)
         assert program.ended() == status, str(program)
         return program
 
@@ -56,3 +57,11 @@ def test_the_first_files_for_them_pass_the_check_and_reach_their_goal(world, tmp
     ends(0, "check", *files)
     ends(0, "run", *files, "--actions", "ros2")
     assert "domain.pddl" in ends(2, "init", str(folder)).err[-1]
+
+
+def test_a_node_says_which_messages_it_needs(world) -> None:
+    deployment, _ = world
+    node = deployment.module(Program, "tests.support.e2e.programs.without_our_messages", "serve", "--journal", "none")
+    assert node.ended() == 2
+    assert "pnm_interfaces" in node.err[-1]
+    assert "`pip install ./ros/pnm_interfaces`" in node.err[-1]
