@@ -49,7 +49,7 @@ class FieldError(PnmError):
 
 
 def has_own_types() -> bool:
-    """Return whether `pnm_interfaces` is installed, without which a run has neither knowledge services nor reports on ``knowledge/sensed``."""
+    """Return whether `pnm_interfaces` is installed; else there are no knowledge services, nor reports on ``knowledge/sensed``."""
     return importlib.util.find_spec("pnm_interfaces") is not None
 
 

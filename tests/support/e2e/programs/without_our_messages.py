@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import sys
 
-sys.modules["pnm_interfaces"] = None  # type: ignore[assignment]
-
 from planner_bridge.__main__ import main
 
 if __name__ == "__main__":
+    sys.modules["pnm_interfaces"] = None  # type: ignore[assignment]
     main()
