@@ -45,6 +45,7 @@ from pnm.tasks import percent
 from tests.support.pddl.vans import vans
 
 chances = st.floats(0.0, 1.0)
+ENDS = tuple(AttemptEnd(leads, share, ((1.0, 1.0),)) for leads, share in ((Leads.DONE, 0.6), (Leads.AGAIN, 0.4)))
 
 
 def attempt(done: float, again: float) -> AttemptOdds:
@@ -132,8 +133,7 @@ def test_the_chance_of_200_calls_is_that_of_a_model_checker(tmp_path: Path) -> N
 
 @given(st.lists(st.integers(0, 4), min_size=1, max_size=8))
 def test_the_chance_of_calls_that_rest_on_one_estimate_is_its_mean_over_what_that_may_be(retries: list[int]) -> None:
-    ends = tuple(AttemptEnd(leads, share, ((1.0, 1.0),)) for leads, share in ((Leads.DONE, 0.6), (Leads.AGAIN, 0.4)))
-    alike = [CallOdds(ActionCall(0, GroundAction("a")), AttemptOdds(ends, "learned", total=5.0), number) for number in retries]
+    alike = [CallOdds(ActionCall(0, GroundAction("a")), AttemptOdds(ENDS, "learned", total=5.0), number) for number in retries]
     nodes, weights = np.polynomial.legendre.leggauss(64)  # of what is a polynomial, this integral is exact
     again = (1.0 - nodes) / 2.0
     density = 6.0 * (1.0 - again) ** 2 * again  # of a beta distribution with 3 successes and 2 failures, on half of the length
@@ -145,10 +145,8 @@ def test_the_chance_of_calls_that_rest_on_one_estimate_is_its_mean_over_what_tha
 
 
 def test_in_one_world_all_that_rests_on_one_estimate_has_the_same_chance() -> None:
-    ends = tuple(AttemptEnd(leads, share, ((1.0, 1.0),)) for leads, share in ((Leads.DONE, 0.6), (Leads.AGAIN, 0.4)))
-
     def chances(rests: str, number: int) -> set[float]:
-        world = in_one_world(lambda action: AttemptOdds(ends, rests, total=5.0), Random(number))
+        world = in_one_world(lambda action: AttemptOdds(ENDS, rests, total=5.0), Random(number))
         return {found.chance(Leads.DONE) for name in "ab" if (found := world(GroundAction(name)))}
 
     assert [len(chances("learned", number)) for number in (1, 2)] == [1, 1]
