@@ -34,7 +34,7 @@ ELSEWHERE: Final = {
     "init": ("robot", "Write first files for a running robot."),
     "journal": ("journal", "Check, move, copy or prune a journal."),
     "learn": ("journal", "Learn chances and durations from journals."),
-    "mcp": ("running_node", "Serve agents over the Model Context Protocol."),
+    "mcp": ("agents", "Serve agents over the Model Context Protocol."),
     "odds": ("robot", "Say how likely and how soon a goal is reached."),
     "pause": ("running_node", "Pause a task: it starts nothing more."),
     "replay": ("journal", "Execute the runs of a journal again."),

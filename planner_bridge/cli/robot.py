@@ -47,8 +47,8 @@ def init(folder: Path, template: str | None, force: bool) -> int:
     if template:
         from planner_bridge.cli.demo import examples  # here, because robots need no examples
 
-        files = sorted((examples() / "domains" / "templates" / template).iterdir())
-        _write({file.name: file.read_text(encoding="utf-8") for file in files}, folder, force=force)
+        parts = sorted((examples() / "domains" / "templates" / template).iterdir())
+        _write({part.name: part.read_text(encoding="utf-8") for part in parts}, folder, force=force)
         world = f"{folder / 'domain.pddl'} {folder / 'problem.pddl'}"
         print(f"next: pnm run {world}; the same over ROS 2: pnm simulate {world}, and in another terminal pnm run {world} --actions ros2")
         return 0

@@ -23,12 +23,13 @@ from pnm.core.execution.run import Run
 from pnm.core.knowledge_base import KnowledgeBase, Layered
 from pnm.core.logic.conditions import conjuncts, evaluate, fluents, observed
 from pnm.core.logic.expressions import UNKNOWN
-from pnm.core.machine.bindings import goal_data
+from pnm.core.machine.bindings import Bindings, goal_data
 from pnm.core.machine.plan_graph import ActionCall
-from pnm.core.resources import Resources
+from pnm.core.resources import Hand, Resources, who_keeps
+from pnm.errors import suggestion
 from pnm.knowledge.source import Source
 from pnm.language.runner import PlanRunner
-from pnm.tasks import OnConflict, TaskListener, TaskState, TraceEvent, TraceKind
+from pnm.tasks import EVENTS, OnConflict, TaskListener, TaskRefused, TaskState, TraceEvent, TraceKind
 
 
 @dataclass(frozen=True, slots=True)
@@ -148,6 +149,8 @@ class TaskContext:
 # of them is under way any more.
 
 
+_NAMED: Final = 10
+"""So many names are listed in place of one that there is not."""
 _SHORTEST: Final = 1.0
 """Seconds after which a task tries again at the earliest when others are expected to be out of its way."""
 
@@ -478,3 +481,80 @@ class PlanningQueue(Generic[T]):
 
             self._planning[first] = asyncio.get_running_loop().call_later(SLOW, admit_beside)
             self._waiting[first].set_result(None)
+
+
+# --- people who take robots over ------------------------------------------------------------------
+
+
+class HandOver:
+    """Has people take robots over, or other objects and resources, and give them back: nothing is sent to them meanwhile.
+
+    Args:
+        tasks: all that are not over.
+    """
+
+    def __init__(self, runner: PlanRunner, bindings: Bindings, tasks: Mapping[UUID, Task], queue: PlanningQueue[Task]) -> None:
+        self._runner, self._bindings, self._tasks, self._queue = runner, bindings, tasks, queue
+
+    async def take(self, problem: Problem, hand: Hand) -> str:
+        """Leave something to a person; return what may still be at work, if it has not confirmed its end."""
+        runner, name = self._runner, hand.name
+        taken = runner.hands.taken
+        if name in taken:
+            raise TaskRefused(f"{taken[name]}; it has to be given back first")
+        if wrong := self._unknown(problem, name):
+            raise TaskRefused(wrong)
+        self._put(hand, is_taken=True)
+        going_on = [(executor, executor.run) for executor in runner.going_on]
+        for executor, _ in going_on:
+            executor.heed_hands()
+        self._look_again()
+
+        def needing(run: Run, calls: Iterable[ActionCall]) -> list[str]:
+            return [str(call.action) for call in calls if run.bindings.named(call.action, (name,))]
+
+        for executor, run in going_on:  # its requests pass to no other run
+            while name in taken and executor.run is run and not executor.ended and needing(run, run.open_calls.values()):
+                await executor.happens()
+        calls = [(run, one.call) for _, run in going_on for one in run.result_so_far().failures if one.unconfirmed]
+        at_work = [one for run, call in calls if isinstance(call, ActionCall) for one in needing(run, [call])]
+        withheld = {one: by for one, by in runner.resources.withheld.items() if name in (one, *one.split("/"))}
+        unconfirmed = f"{', '.join(at_work)} may still be at work: the cancellation is not confirmed" if at_work else ""
+        return "; ".join(filter(None, (unconfirmed, who_keeps(withheld))))
+
+    async def give(self, problem: Problem, name: str) -> None:
+        """Use again what a person has had; what sensors are asked for is asked for before."""
+        runner = self._runner
+        if (hand := runner.hands.taken.get(name)) is None:
+            raise TaskRefused(self._unknown(problem, name) or f"{name} is in nobody's hands")
+        await runner.backend.refresh()
+        if name in runner.hands.taken:  # else somebody has given it back meanwhile
+            self._put(hand, is_taken=False)
+            own = [task.control.execution.executor for task in self._tasks.values() if task.control.execution]
+            for executor in runner.going_on:
+                if executor not in own:  # of a plan that a call has begun
+                    executor.heed_hands()
+            self._look_again()
+
+    def _unknown(self, problem: Problem, name: str) -> str:
+        """Return why nothing of this name can be in anybody's hands; empty if it can."""
+        programs = self._runner.programs.values()
+        objects = (one for names in self._runner.world.objects_by_type().values() for one in names)
+        resources = (part for binding in self._bindings.actions.values() for one in binding.resources for part in (one, *one.split("/")))
+        known = dict.fromkeys((*problem.objects, *objects, *(one for one in resources if "{" not in one)))
+        plans = ((program.plan.bindings, call.action) for program in programs for call in program.plan.graph.calls)
+        if name in known or calls_needing(problem, self._bindings, [name]) or any(own.named(action, (name,)) for own, action in plans):
+            return ""
+        hint = suggestion(name, known) or f"expected one of {', '.join(list(known)[:_NAMED]) or 'none, for there are none'}"
+        return f"there is no robot, object or resource {name!r}; {hint}"
+
+    def _put(self, hand: Hand, *, is_taken: bool) -> None:
+        self._runner.hands.put(hand, is_taken=is_taken)
+        self._runner.journal.put(hand, is_taken=is_taken)
+        EVENTS.warning("%s", hand if is_taken else f"{hand.name} is given back")
+
+    def _look_again(self) -> None:
+        for task in tuple(self._tasks.values()):
+            if task.control.execution is not None:
+                task.control.execution.look_again()
+        self._queue.changed()

@@ -18,9 +18,8 @@ from typing import Final
 from uuid import UUID
 
 from planner_bridge.model.grounding import later, problem_now
-from planner_bridge.model.guards import calls_needing
 from planner_bridge.model.problem import Problem
-from planner_bridge.tasks.context import PlanningQueue, Preemption, TaskContext
+from planner_bridge.tasks.context import HandOver, PlanningQueue, Preemption, TaskContext
 from planner_bridge.tasks.control import TaskControl, Watchdog
 from planner_bridge.tasks.result import Stopwatch, TaskResult, join_reasons
 from planner_bridge.tasks.settings import OnChange, Settings, TaskObserver
@@ -28,22 +27,19 @@ from planner_bridge.tasks.task import StartTask, Task
 from planner_bridge.tasks.task_start import TaskText, read_text, start_of
 from pnm.clock import stop_then_cancel
 from pnm.core.execution.events import broadcast
-from pnm.core.execution.run import Run
 from pnm.core.knowledge_base import Layered
 from pnm.core.logic.conditions import Condition
 from pnm.core.machine.machine import PetriNetMachine
-from pnm.core.machine.plan_graph import ActionCall
 from pnm.core.machine.requests import NOT_REATTACHED, Ended, OutcomeKind, ReattachingClient, Report, Request
 from pnm.core.net.net import Marking
 from pnm.core.resources import Hand, who_keeps
-from pnm.errors import InputError, suggestion
+from pnm.errors import InputError
 from pnm.journal.kept import JournalError
 from pnm.journal.replay import Replay, ReplayedTask
 from pnm.knowledge.source import Source
 from pnm.knowledge.sources import Sources
 from pnm.language.runner import PlanRunner
 from pnm.tasks import (
-    EVENTS,
     REMEMBERED,
     SHORT,
     Code,
@@ -60,8 +56,6 @@ from pnm.tasks import (
 )
 
 _log = logging.getLogger(__name__)
-_NAMED: Final = 10
-"""So many names are listed in place of one that there is not."""
 
 
 class TaskManager:
@@ -113,6 +107,7 @@ class TaskManager:
         self._is_held = False
         self._queue: PlanningQueue[Task] = PlanningQueue(attrgetter("rank"))
         self._preemption = Preemption(self._tasks, self._resources, self._queue)
+        self._hand_over = HandOver(runner, settings.bindings, self._tasks, self._queue)
         self._listeners: list[TaskListener] = [self._preemption]
         self._listener = broadcast(TaskListener, self._listeners)
         self._stop_listening = self._resources.listen(self._preemption.preempt_holders)
@@ -218,65 +213,16 @@ class TaskManager:
     # --- people who take robots over --------------------------------------------------------------
 
     async def take(self, name: str, /, *, reason: str = "", by: str = "") -> str:
-        """Leave a robot, or another object or resource, to a person; return what may still be at work, if it has not confirmed its end."""
-        hands = self._runner.hands
-        if name in hands.taken:
-            raise TaskRefused(f"{hands.taken[name]}; it has to be given back first")
-        if wrong := self._unknown(name):
-            raise TaskRefused(wrong)
-        self._put(Hand(name, time(), reason, by), is_taken=True)
-        going_on = [(executor, executor.run) for executor in self._runner.going_on]
-        for executor, _ in going_on:
-            executor.heed_hands()
-        self._look_again()
-        for executor, run in going_on:  # its requests pass to no other run
-            while name in hands.taken and executor.run is run and not executor.ended and _needing(run, run.open_calls.values(), name):
-                await executor.happens()
-        calls = [(run, one.call) for _, run in going_on for one in run.result_so_far().failures if one.unconfirmed]
-        at_work = [one for run, call in calls if isinstance(call, ActionCall) for one in _needing(run, [call], name)]
-        withheld = {one: by for one, by in self._resources.withheld.items() if name in (one, *one.split("/"))}
-        unconfirmed = f"{', '.join(at_work)} may still be at work: the cancellation is not confirmed" if at_work else ""
-        return "; ".join(filter(None, (unconfirmed, who_keeps(withheld))))
+        """Leave a robot, or another object or resource, to a person; see `HandOver`."""
+        return await self._hand_over.take(self._problem, Hand(name, time(), reason, by))
 
     async def give(self, name: str, /) -> None:
-        """Use again what a person has had; what sensors are asked for is asked for before."""
-        if (hand := self._runner.hands.taken.get(name)) is None:
-            raise TaskRefused(self._unknown(name) or f"{name} is in nobody's hands")
-        await self._runner.backend.refresh()
-        if name in self._runner.hands.taken:  # else somebody has given it back meanwhile
-            self._put(hand, is_taken=False)
-            own = [task.control.execution.executor for task in self._tasks.values() if task.control.execution]
-            for executor in self._runner.going_on:
-                if executor not in own:  # of a plan that a call has begun
-                    executor.heed_hands()
-            self._look_again()
+        """Use again what a person has had."""
+        await self._hand_over.give(self._problem, name)
 
     def hands(self) -> tuple[Hand, ...]:
         """Return what people have in their hands."""
         return tuple(self._runner.hands.taken.values())
-
-    def _unknown(self, name: str) -> str:
-        """Return why nothing of this name can be in anybody's hands; empty if it can."""
-        problem, bindings, programs = self._problem, self.settings.bindings, self._runner.programs.values()
-        objects = (one for names in self._runner.world.objects_by_type().values() for one in names)
-        resources = (part for binding in bindings.actions.values() for one in binding.resources for part in (one, *one.split("/")))
-        known = dict.fromkeys((*problem.objects, *objects, *(one for one in resources if "{" not in one)))
-        plans = ((program.plan.bindings, call.action) for program in programs for call in program.plan.graph.calls)
-        if name in known or calls_needing(problem, bindings, [name]) or any(own.named(action, (name,)) for own, action in plans):
-            return ""
-        hint = suggestion(name, known) or f"expected one of {', '.join(list(known)[:_NAMED]) or 'none, for there are none'}"
-        return f"there is no robot, object or resource {name!r}; {hint}"
-
-    def _put(self, hand: Hand, *, is_taken: bool) -> None:
-        self._runner.hands.put(hand, is_taken=is_taken)
-        self._journal.put(hand, is_taken=is_taken)
-        EVENTS.warning("%s", hand if is_taken else f"{hand.name} is given back")
-
-    def _look_again(self) -> None:
-        for task in tuple(self._tasks.values()):
-            if task.control.execution is not None:
-                task.control.execution.look_again()
-        self._queue.changed()
 
     async def step(self, task: UUID, /) -> None:
         """Let one request of a task leave that an operator has paused; return when nothing is under way any more."""
@@ -579,11 +525,6 @@ class TaskManager:
         self._queue.changed()
         self._preemption.update(opponents)
         self._admit()
-
-
-def _needing(run: Run, calls: Iterable[ActionCall], name: str) -> list[str]:
-    """Return those of the calls of a run, as text, that need a robot, or another object or resource."""
-    return [str(call.action) for call in calls if run.bindings.named(call.action, (name,))]
 
 
 @dataclass(frozen=True, slots=True)
