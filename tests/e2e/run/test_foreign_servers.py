@@ -57,11 +57,3 @@ def test_the_first_files_for_them_pass_the_check_and_reach_their_goal(world, tmp
     ends(0, "check", *files)
     ends(0, "run", *files, "--actions", "ros2")
     assert "domain.pddl" in ends(2, "init", str(folder)).err[-1]
-
-
-def test_a_node_says_which_messages_it_needs(world) -> None:
-    deployment, _ = world
-    node = deployment.module(Program, "tests.support.e2e.programs.without_our_messages", "serve", "--journal", "none")
-    assert node.ended() == 2
-    assert "pnm_interfaces" in node.err[-1]
-    assert "`pip install ./ros/pnm_interfaces`" in node.err[-1]
