@@ -294,7 +294,8 @@ class Agents:
         """
         node, approval = self._acting()
         async with self.turn:
-            if len(await self._going_on(node)) >= MAX_GOALS:
+            going_on = {_id(task) for task in (await node.node.status()).tasks if task.state != task.OVER}
+            if len(going_on & self.sent) >= MAX_GOALS:
                 raise InputError(f"{MAX_GOALS} goals from here are not over; wait for their ends, or cancel one")
             made = await self._made(goal, with_odds=approval.asks_odds)
             if made.code is not Code.GOAL_REACHED:
@@ -356,8 +357,9 @@ class Agents:
     async def journal_text(self) -> str:
         """Return the tasks of the journal, a line for each."""
         tasks = await asyncio.to_thread(lambda: summaries(self.journal(), TASKS))
-        lines = (f"{task.accepted.wanted.id.hex[:8]} {task.accepted.wanted.words}: {_ending(task.as_json())}" for task in reversed(tasks))
-        return "\n".join(map(str, _some(lines)))
+        told = ((task.accepted.wanted, task.as_json()) for task in reversed(tasks))
+        ended = ((wanted, f"{said['code']}: {said['reason']}" if said["code"] else "not over") for wanted, said in told)
+        return "\n".join(map(str, _some(f"{wanted.id.hex[:8]} {wanted.words}: {how}" for wanted, how in ended)))
 
     # --- inside -----------------------------------------------------------------------------------
 
@@ -372,9 +374,6 @@ class Agents:
         if self.approval is None:
             raise InputError("this server only reads; a person starts `pnm mcp` with --allow-goals if it may act")
         return self._node, self.approval
-
-    async def _going_on(self, node: OfferedNode) -> set[UUID]:
-        return {_id(task) for task in (await node.node.status()).tasks if task.state != task.OVER} & self.sent
 
     async def _task(self, node: OfferedNode, prefix: str) -> tuple[UUID, TaskState]:
         id = await node.node.task(prefix)
@@ -415,10 +414,6 @@ class Agents:
 
 def _id(task: Any) -> UUID:
     return UUID(bytes=bytes(task.id.uuid))
-
-
-def _ending(task: Mapping[str, Any]) -> str:
-    return f"{task['code']}: {task['reason']}" if task["code"] else "not over"
 
 
 def _told(made: MadePlan) -> Answered:

@@ -51,6 +51,18 @@ class ReadWriteSets:
         """All that is read or written."""
         return self.reads.union(self.facts, self.writes)
 
+    @staticmethod
+    def of_all(plans: Iterable[ReadWriteSets]) -> ReadWriteSets:
+        """Return what several plans read and write together."""
+        facts, writes, reads = dict[Fluent, frozenset[bool]](), dict[Fluent, frozenset[bool | None]](), set[Fluent]()
+        for plan in plans:
+            reads |= plan.reads
+            for fluent, values in plan.facts.items():
+                facts[fluent] = facts[fluent] | values if fluent in facts else values
+            for fluent, given in plan.writes.items():
+                writes[fluent] = writes[fluent] | given if fluent in writes else given
+        return ReadWriteSets(facts, frozenset(reads), writes)
+
     def is_clear_of(self, other: ReadWriteSets) -> bool:
         """Return whether neither writes what the other uses: so it is for all parts of the two as well."""
         return self.used.isdisjoint(other.writes) and other.used.isdisjoint(self.writes)
@@ -310,22 +322,10 @@ def with_forecasts(problem: Problem, forecasts: Sequence[Forecast], now: float =
         changes += [TimedChange(max(other.released[fluent] - now, SOON), {fluent: value}) for fluent, value in other.values.items()]
     problem = avoid_interference(
         problem,
-        [_united([other.needed for other in forecasts])],
+        [ReadWriteSets.of_all(other.needed for other in forecasts)],
         {fluent: time for fluent, time in released.items() if fluent not in kept},
     )
     return replace(problem, timed=tuple(sorted((*problem.timed, *changes), key=lambda change: change.time)))
-
-
-def _united(sets: Iterable[ReadWriteSets]) -> ReadWriteSets:
-    """Return what several plans read and write together: one guard for all of them is enough."""
-    facts, writes, reads = dict[Fluent, frozenset[bool]](), dict[Fluent, frozenset[bool | None]](), set[Fluent]()
-    for one in sets:
-        reads |= one.reads
-        for fluent, values in one.facts.items():
-            facts[fluent] = facts[fluent] | values if fluent in facts else values
-        for fluent, given in one.writes.items():
-            writes[fluent] = writes[fluent] | given if fluent in writes else given
-    return ReadWriteSets(facts, frozenset(reads), writes)
 
 
 def awaited(mine: ReadWriteSets, other: Forecast) -> tuple[Fluent, float] | None:
