@@ -22,7 +22,7 @@ from pnm.files.process import make_streams_safe, own_standard_output
 from pnm.files.text import hide_arguments
 
 ELSEWHERE: Final = {
-    "answer": ("running_node", "Answer a question that a task of the node asks a person."),
+    "answer": ("running_node", "Answer a question that a task asks a person."),
     "cancel": ("running_node", "Cancel a task, and wait for its robots."),
     "check": ("robot", "Check servers and sensors in the ROS graph."),
     "export": ("convert", "Write a domain, a problem and a plan as YAML."),

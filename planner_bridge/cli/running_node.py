@@ -274,7 +274,7 @@ def goal(
 @namespace_option
 @command
 def answer(words: tuple[str, ...], name: str, namespace: str) -> int:
-    """Answer a question that a task of the node asks a person.
+    """Answer a question that a task asks a person.
 
     TASK is the beginning of its id; by default the only running task. `pnm status` lists the questions. The first answer counts.
     """

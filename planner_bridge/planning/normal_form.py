@@ -100,8 +100,8 @@ def _both(left: Condition, right: Condition) -> Condition:
 def _unless_added(delete: Assignment, adds: Iterable[Assignment]) -> Assignment | None:
     """Return the delete where no add of the same moment undoes it; None if one always does (PDDL 2.1, section 8)."""
     for add in adds:
-        if add.fluent == delete.fluent and add.condition in (TRUE, delete.condition):
-            return None
+        if add.fluent == delete.fluent and add.condition in (TRUE, delete.condition) and {*add.variables} <= {*delete.variables}:
+            return None  # an add for every object of a type happens only if there is one
         if add.fluent[0] != delete.fluent[0]:
             continue
         renamed = {variable.name: f"{variable.name}-added" for variable in add.variables}

@@ -82,7 +82,7 @@ def test_the_json_of_a_command_that_was_cancelled_has_the_keys_of_that_command()
         "odds": {"chance": None, "alone": None, "with_new_plans": None},
         "check": {"ready": None, "rows": None},
         "why": {"answers": None},
-        "status": {"paused": None, "tasks": None},
+        "status": {"paused": None, "hands": None, "tasks": None},
         "facts": {},
     }
     assert ended(AT_IMPORT, "30", "facts", "--json") == (1, ['{"reason": "cancelled"}'], ["cancelled"])

@@ -114,8 +114,8 @@ def test_a_run_over_ros_2_is_seen_explained_and_steered_in_a_browser(page: Page,
     page.get_by_text("troubles before").click()
     trouble = page.locator("#needs details .need", has_text="move(r1, hall, kitchen) failed: aborted").first
     expect(trouble).to_contain_text("a new plan is needed")
-    (accepted,) = [step.record for step in steps(node.journal) if isinstance(step.record, TaskAccepted)]
-    assert accepted.wanted.text == "(and (at parcel1 hall) (at parcel2 kitchen))"
+    accepted = {step.record.wanted.text for step in steps(node.journal) if isinstance(step.record, TaskAccepted)}
+    assert accepted == {"(and (at parcel1 hall) (at parcel2 kitchen))"}
     goes_back(page)
     a_plan_asks_a_person(page, deployment)
     an_end_is_forced(page, node)

@@ -18,7 +18,7 @@ from planner_bridge.pddl import write_domain, write_problem
 from planner_bridge.pipeline.loading import load
 from pnm.errors import InputError
 from pnm.knowledge.people import APPROVAL
-from pnm.ros.tasks.task_messages import made_fields
+from pnm.ros.tasks.executor_topics import made_fields
 from pnm.tasks import Code, MadePlan, StepState, TaskOdds, TaskState, TaskStep
 from tests.support.files import ROOT, written
 from tests.support.logic.agents import asked

@@ -24,6 +24,7 @@ from planner_bridge.model.world import simulated_backend
 from planner_bridge.ordering.plan_to_graph import plan_graph
 from planner_bridge.pddl import parse_domain, parse_problem, write_domain, write_problem
 from planner_bridge.planning.kairos import validate
+from planner_bridge.planning.solve import solve
 from planner_bridge.planning.unified_planning import to_unified_planning
 from planner_bridge.planning.validate import trace, why_invalid
 from pnm.clock import run_async
@@ -218,3 +219,13 @@ def test_execution_leads_where_the_semantics_says(timed: bool) -> None:
         check_execution(problem, plan, sensed=sensed)
 
     check()
+
+
+def test_an_add_for_every_object_undoes_no_delete_if_there_is_no_object() -> None:
+    """As in `assignments`, which planners and lower bounds are told by."""
+    action = "(:action a :parameters () :effect (and (forall (?x - u) (p)) (not (p))))"
+    domain = parse_domain(f"(define (domain d) (:requirements :adl :typing) (:types u) (:predicates (p)) {action})")
+    problem = parse_problem("(define (problem x) (:domain d) (:init (p)) (:goal (not (p))))", domain)
+    assert [step.action for step in solve(problem, is_looked_at=True).plan.steps] == ["a"]
+    one = parse_problem("(define (problem x) (:domain d) (:objects o - u) (:init (p)) (:goal (not (p))))", domain)
+    assert solve(one).plan is None

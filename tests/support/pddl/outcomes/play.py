@@ -19,7 +19,7 @@ from planner_bridge.pddl import parse_domain, parse_problem
 from planner_bridge.pipeline.achieve import achieve_at
 from planner_bridge.pipeline.loading import load
 from planner_bridge.planning.solve import solve
-from planner_bridge.tasks.settings import Memory, Settings
+from planner_bridge.tasks.settings import Memory, Settings, TaskObserver
 from pnm.clock import run_async
 from pnm.core.logic.conditions import evaluate
 from tests.support.pddl.outcomes.optimum import optimum
@@ -85,7 +85,7 @@ def trial(chance: Chance, problem: Problem, way: Way, seed: int, kept: Kept) -> 
     if way.way == "policy":
         why = alone(world, problem, way, kept)
     else:
-        result = run_async(achieve_at(world, problem, Settings(planner_timeout=way.seconds / 2, memory=kept)), virtual=True)
+        result = run_async(achieve_at(world, problem, Settings(planner_timeout=way.seconds / 2, memory=kept), TaskObserver()), virtual=True)
         why = "" if result.goal_reached else f"{result.code.word}: {result.reason}"[:300]
     return {
         "seed": seed,

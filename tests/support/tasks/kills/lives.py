@@ -17,7 +17,7 @@ from planner_bridge.tasks.result import TASKS
 from pnm.actions.simulated_robots import RobotLog, SimulatedRobots
 from pnm.core.logic.conditions import evaluate
 from pnm.core.machine.requests import Ended, OutcomeKind, Report, Request
-from pnm.journal.records import Happened, TaskOver
+from pnm.journal.records import Happened, SharedBegan, TaskOver
 from pnm.journal.replay import Replay
 from pnm.journal.resume import replay_steps
 from pnm.tasks import Code
@@ -166,10 +166,13 @@ class Attendance:
 
 def _complaints(scenario: Scenario, journal: Path, robots: Robots) -> list[str]:
     """Compare the journal with what robots have done, and both with what was wanted."""
-    replay, overs, reported = Replay(), Counter[UUID](), dict[UUID, OutcomeKind]()
+    replay, overs, reported, again = Replay(), Counter[UUID](), dict[UUID, OutcomeKind](), 0
     for step in replay_steps(journal, TASKS, replay):
+        again -= 1
         match step.record:
-            case TaskOver(task):
+            case SharedBegan():
+                again = step.record.again
+            case TaskOver(task) if again < 0:  # a segment begins with what is still of use of the one before
                 overs[task] += 1
             case Happened(_, Ended(request, outcome)):
                 if request in reported and reported[request] is not outcome.kind:

@@ -10,7 +10,7 @@ from tests.support.e2e.command_line import pnm, result
 from tests.support.e2e.deployment import SimulationProgram
 from tests.support.e2e.plan_deployment import PlanDeployment, Serving
 from tests.support.e2e.task_node import DOMAIN, PROBLEM
-from tests.support.processes import Program
+from tests.support.processes import Program, until
 
 
 def words(*arguments: str) -> tuple[int, str]:
@@ -39,7 +39,8 @@ def test_nothing_is_sent_to_a_robot_in_a_persons_hands(deployment: PlanDeploymen
     deployment.pnm(Serving, "serve", DOMAIN, PROBLEM, "--journal", str(deployment.folder / "journal")).ready()
     status: dict[str, Any] = result(pnm("status", "--json"))
     assert [(hand["name"], hand["reason"], hand["by"]) for hand in status["hands"]] == [("r1", "stuck", "ada")]
-    assert ["waits: r1 is in the hands of ada since" in task["reason"] for task in status["tasks"]] == [True]
+    told = "waits: r1 is in the hands of ada since"  # once the node has looked at the plan
+    until(lambda: [told in task["reason"] for task in result(pnm("status", "--json"))["tasks"]] == [True])
     assert begun(robots) == before
 
     assert words("give", "r1") == (0, "r1: given back")
