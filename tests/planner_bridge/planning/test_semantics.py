@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import asyncio
 from dataclasses import replace
+from math import inf
 from typing import Any
 from uuid import UUID
 
@@ -24,6 +25,7 @@ from planner_bridge.model.world import simulated_backend
 from planner_bridge.ordering.plan_to_graph import plan_graph
 from planner_bridge.pddl import parse_domain, parse_problem, write_domain, write_problem
 from planner_bridge.planning.kairos import validate
+from planner_bridge.planning.lower_bound import lower_bound
 from planner_bridge.planning.solve import solve
 from planner_bridge.planning.unified_planning import to_unified_planning
 from planner_bridge.planning.validate import trace, why_invalid
@@ -226,6 +228,7 @@ def test_an_add_for_every_object_undoes_no_delete_if_there_is_no_object() -> Non
     action = "(:action a :parameters () :effect (and (forall (?x - u) (p)) (not (p))))"
     domain = parse_domain(f"(define (domain d) (:requirements :adl :typing) (:types u) (:predicates (p)) {action})")
     problem = parse_problem("(define (problem x) (:domain d) (:init (p)) (:goal (not (p))))", domain)
-    assert [step.action for step in solve(problem, is_looked_at=True).plan.steps] == ["a"]
+    assert [step.action for step in solve(problem).plan.steps] == ["a"]
+    assert lower_bound(problem, None, inf) == pytest.approx(1.0)
     one = parse_problem("(define (problem x) (:domain d) (:objects o - u) (:init (p)) (:goal (not (p))))", domain)
     assert solve(one).plan is None
