@@ -43,6 +43,8 @@ T = TypeVar("T")
 
 SECOND: Final = 1.0
 """Seconds between two lines with feedback about the same call."""
+_LAST: Final = 1.0
+"""Seconds for the last events of a task after its result."""
 _TRACE: Final = ("pnm_interfaces/msg/TraceEvent", "executor/trace")
 
 namespace_option = click.option("-n", "--namespace", default="", help="the namespace of the node")
@@ -225,9 +227,8 @@ def goal(
 
     async def print_events(heard: asyncio.Queue[Any]) -> None:
         with closing(EventPrinter(console)) as printer:
-            while True:
-                event = event_of(await heard.get())
-                if event.task == task and not as_json and not event.text.startswith("over: "):  # the last line is about that
+            while not ((event := event_of(await heard.get())).task == task and event.text.startswith("over: ")):  # the last line has that
+                if event.task == task and not as_json:
                     printer.print(event)
 
     async def achieve(node: NodeClient) -> Any:
@@ -235,8 +236,12 @@ def goal(
             printing = asyncio.create_task(print_events(heard))
             try:
                 if parameters or (goal.replace("-", "_").isidentifier() and least is None and await node.has_plan(goal)):
-                    return await node.execute(goal, parameters, ranked, task)
-                return await node.achieve({"goal": goal, "policy": int(OnConflict[policy.upper()]), **ranked}, task)
+                    outcome = await node.execute(goal, parameters, ranked, task)
+                else:
+                    outcome = await node.achieve({"goal": goal, "policy": int(OnConflict[policy.upper()]), **ranked}, task)
+                if outcome.result:  # the last events may be on their way
+                    await asyncio.wait([printing], timeout=_LAST)
+                return outcome
             finally:
                 printing.cancel()
 
