@@ -23,7 +23,7 @@ from planner_bridge.planning.policies.chance import improve, take_chances
 from planner_bridge.planning.policies.encoding import OutcomePlanner
 from planner_bridge.planning.policies.grounding import Chances, Seconds, even_chances, policy_task, task_from
 from planner_bridge.planning.policies.numbers import ANY_NUMBER, Scale
-from planner_bridge.planning.policies.proof import unproved
+from planner_bridge.planning.policies.proof import proved_places
 from planner_bridge.planning.policies.search import Interrupted, Search, SettledPart
 from planner_bridge.planning.policies.steps import MOST, Step, policy_steps
 from planner_bridge.planning.policies.task import ANY, NEVER, OF_METRIC, PartialState, PolicyTask
@@ -399,7 +399,7 @@ def _policy(problem: Problem, search: Search) -> Policy:
     task, first = search.task, search.settled(search.task.initial)
     assert first is not None, "there is an entry for the initial state"
     ranked = [part for part in sorted(search.entries) if part.action is not None]
-    entries = tuple(
+    entries = [
         PolicyEntry(
             {**dict.fromkeys(task.named(need.true), True), **dict.fromkeys(task.named(need.false), False)},
             action.name,
@@ -412,10 +412,12 @@ def _policy(problem: Problem, search: Search) -> Policy:
         )
         for risk, expected, distance, need, _, action in ranked
         if action is not None
-    )
-    certain = [entry for entry in entries if entry.chance == 1.0]
-    steps = partial(policy_steps, task, ranked)
-    return Policy(problem, entries, 1.0 - first.risk, not first.risk and is_proved(problem, certain, task.scales), steps, task.measure)
+    ]
+    certain = sum(entry.chance == 1.0 for entry in entries)  # they come first
+    proved = None if first.risk else proved_in(problem, entries[:certain], task.scales)
+    kept = [*range(len(entries))] if proved is None else [*proved, *range(certain, len(entries))]
+    steps = partial(policy_steps, task, [ranked[place] for place in kept])
+    return Policy(problem, tuple(entries[place] for place in kept), 1.0 - first.risk, proved is not None, steps, task.measure)
 
 
 def steps_of(problem: Problem, entries: Sequence[PolicyEntry]) -> list[Step]:
@@ -440,8 +442,9 @@ def steps_of(problem: Problem, entries: Sequence[PolicyEntry]) -> list[Step]:
     )
 
 
-def is_proved(problem: Problem, entries: Sequence[PolicyEntry], scales: Sequence[Scale]) -> bool:
-    """Whether entries are proved to reach the goal, with numbers that stay in the ranges of their scales or not."""
+def proved_in(problem: Problem, entries: Sequence[PolicyEntry], scales: Sequence[Scale]) -> list[int] | None:
+    """Return the places of entries proved to reach the goal, or None: with numbers that leave the ranges of their scales, or not."""
     sides = product((True, False), repeat=2) if scales else [(False, False)]  # what never comes about may leave a range
     ends = ({scale.fluent: (scale.ends[0] if low else -inf, scale.ends[1] if high else inf) for scale in scales} for low, high in sides)
-    return not all(unproved(problem, entries, initial_knowledge(problem), one) for one in ends)
+    found = (proved_places(problem, entries, initial_knowledge(problem), one) for one in ends)
+    return next((places for places in found if places is not None), None)

@@ -15,7 +15,7 @@ a way again. How the policy was found does not matter.
 from __future__ import annotations
 
 from collections import Counter, defaultdict
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import product
 from math import inf, isnan
@@ -132,55 +132,97 @@ def unproved(problem: Problem, rules: Sequence[PolicyRule], initial: KnowledgeBa
     Args:
         ends: ranges that numbers never leave, which is proved as well.
     """
-    changing, index, domain = dynamic_names(problem), _Index(rules), problem.domain
-    declared = {**domain.predicates, **domain.functions}
-    always = {fluent: value for fluent, value in initial.facts().items() if fluent[0] not in changing}
-    for name in changing & domain.rules.below:
-        for chosen in product(*(initial.objects(variable.types) for variable in declared[name].parameters)):
-            always[name, *chosen] = UNKNOWN
+    proof = _Proof(problem, rules, initial, ends)
+    return next(filter(None, (proof.fault, *(fault for fault, _ in map(proof.entry, range(len(rules)))))), "")
 
-    if unknown := sorted(fluent_text(fluent) for fluent in problem.unknown if fluent[0] not in changing):
-        return f"it is unknown whether {unknown[0]}"
 
-    def known(facts: Mapping[Fluent, Value | Unknown], numbers: Mapping[Fluent, Range]) -> _Ranges:
-        constant = DerivedFacts(domain.rules, {**always, **facts}, initial.objects) if domain.rules else initial
-        return _Ranges(facts, constant, changing, numbers)
+def proved_places(
+    problem: Problem, rules: Sequence[PolicyRule], initial: KnowledgeBase, ends: Mapping[Fluent, Range] = NO_ENDS
+) -> list[int] | None:
+    """Return the places of entries that are proved to reach the goal without the others; None if there are none.
 
-    facts = {fluent: UNKNOWN if fluent in problem.unknown else bool(initial.value(fluent)) for fluent in index.mentioned}
-    mentioned = {*ends, *(fluent for rule in rules for fluent in rule.numbers)}
-    numbers = {fluent: (value, value) for fluent in mentioned if is_number(value := initial.value(fluent))}
-    first = known(facts, numbers)
-    if evaluate(problem.goal, initial) is not True and (index.least(first) == inf or not all(map(first.is_within, ends.items()))):
-        return "there is no entry for the initial state"
-    for number, rule in enumerate(rules, 1):
-        about = f"entry {number}, {rule.action}({', '.join(rule.arguments)})"
-        if rule.expected < rules[max(number - 2, 0)].expected:
-            return f"{about}: the entry before it counts first, and costs more"
-        duration = modelled_duration(domain.actions[rule.action], rule.arguments, initial)
-        action = ground_step(domain, rule.action, rule.arguments, duration, "", problem.members)
+    These are all of them, or else those that the initial state leads to: of what was found beside the way, less may be known.
+    """
+    if not unproved(problem, rules, initial, ends):
+        return [*range(len(rules))]
+    proof = _Proof(problem, rules, initial, ends)
+    waiting = [*proof.first]
+    for place in waiting:
+        fault, then = proof.entry(place)
+        if fault:
+            return None
+        waiting += [after for after in dict.fromkeys(then) if after not in waiting]
+    return None if proof.fault else sorted(waiting)
+
+
+class _Proof:
+    """What is checked of a policy.
+
+    Args:
+        rules: its entries.
+        ends: ranges that numbers are not to leave.
+    """
+
+    def __init__(self, problem: Problem, rules: Sequence[PolicyRule], initial: KnowledgeBase, ends: Mapping[Fluent, Range]) -> None:
+        self._problem, self._rules, self._initial, self._ends = problem, rules, initial, ends
+        self._changing, self._index, domain = dynamic_names(problem), _Index(rules), problem.domain
+        declared = {**domain.predicates, **domain.functions}
+        self._always = {fluent: value for fluent, value in initial.facts().items() if fluent[0] not in self._changing}
+        for name in self._changing & domain.rules.below:
+            for chosen in product(*(initial.objects(variable.types) for variable in declared[name].parameters)):
+                self._always[name, *chosen] = UNKNOWN
+
+        facts = {fluent: UNKNOWN if fluent in problem.unknown else bool(initial.value(fluent)) for fluent in self._index.mentioned}
+        mentioned = {*ends, *(fluent for rule in rules for fluent in rule.numbers)}
+        numbers = {fluent: (value, value) for fluent in mentioned if is_number(value := initial.value(fluent))}
+        state, is_over = self._known(facts, numbers), evaluate(problem.goal, initial) is True
+        place = None if is_over else self._index.place(state)
+        self.first: list[int] = [] if place is None else [place]
+        """The place of the entry for the initial state, if it is not the goal."""
+        self.fault = ""
+        """What cannot be proved of the initial state."""
+        if unknown := sorted(fluent_text(fluent) for fluent in problem.unknown if fluent[0] not in self._changing):
+            self.fault = f"it is unknown whether {unknown[0]}"
+        elif not is_over and (place is None or not all(map(state.is_within, ends.items()))):
+            self.fault = "there is no entry for the initial state"
+
+    def _known(self, facts: Mapping[Fluent, Value | Unknown], numbers: Mapping[Fluent, Range]) -> _Ranges:
+        rules, always = self._problem.domain.rules, self._initial
+        constant = DerivedFacts(rules, {**self._always, **facts}, always.objects) if rules else always
+        return _Ranges(facts, constant, self._changing, numbers)
+
+    def entry(self, place: int) -> tuple[str, list[int]]:
+        """Return what cannot be proved of an entry, or nothing; and the places of those that its outcomes lead to."""
+        problem, rule, then = self._problem, self._rules[place], list[int]()
+        about = f"entry {place + 1}, {rule.action}({', '.join(rule.arguments)})"
+        if rule.expected < self._rules[max(place - 1, 0)].expected:
+            return f"{about}: the entry before it counts first, and costs more", then
+        duration = modelled_duration(problem.domain.actions[rule.action], rule.arguments, self._initial)
+        action = ground_step(problem.domain, rule.action, rule.arguments, duration, "", problem.members)
         numbers = dict(rule.numbers)
-        for fluent, (least, greatest) in ends.items():
+        for fluent, (least, greatest) in self._ends.items():
             low, high = numbers.get(fluent, ANY_NUMBER)
             numbers[fluent] = max(low, least), min(high, greatest)
-        state = known(rule.facts, numbers)
+        state = self._known(rule.facts, numbers)
         if state.truth(action.precondition) is not True:
-            return f"{about}: {action.precondition} need not hold"
-        begun = known(*_after(action.start_effects, state))
+            return f"{about}: {action.precondition} need not hold", then
+        begun = self._known(*_after(action.start_effects, state))
         for condition in (action.invariant, action.end_condition):
             if begun.truth(condition) is not True:
-                return f"{about}: {condition} need not hold"
+                return f"{about}: {condition} need not hold", then
         nearest = inf
         for effects in [way.effects for way in action.outcomes] or [action.end_effects]:
-            after = known(*_after(effects, begun))
-            if not all(map(after.is_within, ends.items())):
-                return f"{about}: a number may leave its range"
-            least = 0.0 if after.truth(problem.goal) is True else index.least(after)
-            if least == inf:
-                return f"{about}: there is no entry for what {effects} may lead to"
-            nearest = min(nearest, least)
-        if nearest >= rule.expected:
-            return f"{about}: none of its outcomes comes nearer to the goal"
-    return ""
+            after = self._known(*_after(effects, begun))
+            if not all(map(after.is_within, self._ends.items())):
+                return f"{about}: a number may leave its range", then
+            if after.truth(problem.goal) is True:
+                nearest = 0.0
+            elif (at := self._index.place(after)) is None:
+                return f"{about}: there is no entry for what {effects} may lead to", then
+            else:
+                then.append(at)
+                nearest = min(nearest, self._rules[at].expected)
+        return ("" if nearest < rule.expected else f"{about}: none of its outcomes comes nearer to the goal"), then
 
 
 def _after(effects: Effects, state: _Ranges) -> tuple[dict[Fluent, Value | Unknown], dict[Fluent, Range]]:
@@ -216,16 +258,16 @@ def _after(effects: Effects, state: _Ranges) -> tuple[dict[Fluent, Value | Unkno
 class _Index:
     """The entries, each found by the fact that the fewest others name."""
 
-    def __init__(self, rules: Iterable[PolicyRule]) -> None:
+    def __init__(self, rules: Sequence[PolicyRule]) -> None:
         count = Counter(fact for rule in rules for fact in rule.facts.items())
         self.mentioned = dict.fromkeys(fluent for fluent, _ in count)
-        self._filed: dict[tuple[Fluent, bool] | None, list[tuple[frozenset[tuple[Fluent, bool]], PolicyRule]]] = defaultdict(list)
-        for rule in rules:
+        self._filed: dict[tuple[Fluent, bool] | None, list[tuple[frozenset[tuple[Fluent, bool]], int, PolicyRule]]] = defaultdict(list)
+        for place, rule in enumerate(rules):
             rarest = min(rule.facts.items(), key=lambda fact: count[fact], default=None)
-            self._filed[rarest].append((frozenset(rule.facts.items()), rule))
+            self._filed[rarest].append((frozenset(rule.facts.items()), place, rule))
 
-    def least(self, state: _Ranges) -> float:
-        """Return the least expected cost of the entries that fit wherever this is known; infinity if none does."""
+    def place(self, state: _Ranges) -> int | None:
+        """Return the place of the first entry that fits wherever this is known; None if none does."""
         known = {(fluent, value) for fluent, value in state.facts.items() if isinstance(value, bool)}
-        fitting = (rule for fact in (None, *known) for needed, rule in self._filed.get(fact, ()) if needed <= known)
-        return min((rule.expected for rule in fitting if all(map(state.is_within, rule.numbers.items()))), default=inf)
+        fitting = ((place, rule) for fact in (None, *known) for needed, place, rule in self._filed.get(fact, ()) if needed <= known)
+        return min((place for place, rule in fitting if all(map(state.is_within, rule.numbers.items()))), default=None)

@@ -17,7 +17,7 @@ from planner_bridge.model.grounding import dynamic_names
 from planner_bridge.model.problem import Problem
 from planner_bridge.planning.policies.grounding import policy_task
 from planner_bridge.planning.policies.net import FAILURE, PolicyNet, PolicyWay
-from planner_bridge.planning.policies.policy import Policy, PolicyEntry, is_proved, policies
+from planner_bridge.planning.policies.policy import Policy, PolicyEntry, policies, proved_in
 from planner_bridge.planning.policies.steps import GOAL, NO_WAY_OUT
 from pnm.core.logic.conditions import conjunction, conjuncts
 from pnm.core.logic.effects import Alternative, Effect, OneOf
@@ -43,8 +43,8 @@ def run_policy_gate(numbers: range, mutants: int = 8) -> GateReport:
             report.machines += 1
             kept = [entry for entry in best.entries if entry.chance == 1.0 or not best.is_proved]
             for name, entries in (("", kept), *(mutant(kept, random) for _ in range(mutants))):
-                about, accepted = f"policy {number} ({title}, {name})", is_proved(problem, entries, scales)
-                report.judge(about, accepted, partial(policy_fault, exact, entries))
+                about, proved = f"policy {number} ({title}, {name})", proved_in(problem, entries, scales)
+                report.judge(about, proved is not None, partial(policy_fault, exact, [entries[place] for place in proved or ()]))
             whole = PolicyNet(best.steps())
             for name, net in (("", whole), *(broken_net(whole, random) for _ in range(mutants if whole.steps else 0))):
                 about = f"net {number} ({title}, {name})"
