@@ -325,8 +325,7 @@ class JournalHistory:
         self.time = 0.0
         self.segments: list[SegmentStart] = []
         """The beginnings of the segments that it reaches back to."""
-        self._again = 0
-        """How many of the next records say again what is so."""
+        self._repetition = records.Repetition()
         self._known: frozenset[UUID] = frozenset()
         """The tasks of which it is known already."""
         self.tasks: dict[UUID, TaskHistory] = {}
@@ -407,12 +406,12 @@ class JournalHistory:
         self.number, self.time, self._observed = number, max(self.time, time), 0
         self._pending.append((number, time, record))
         begins, self._begins = self._begins, False
-        is_again, self._again = self._again > 0, max(0, self._again - 1)
+        is_again = self._repetition.has(record)
         match record:
             case records.Happened():
                 self._note_event(self.runs[record.run], time, record)
-            case records.SharedBegan(began=began, again=again, since=since):
-                self.world_began, self._again = began, again
+            case records.SharedBegan(began=began, since=since):
+                self.world_began = began
                 self._begin_segment(since or self.number)
             case records.RunStands(made, state, results):
                 self._source_of(made)  # for who executes it

@@ -378,6 +378,20 @@ Record: TypeAlias = (
 )
 
 
+class Repetition:
+    """Which records of a journal, in their order, say again what was said in earlier segments. What is left of them is mutable state."""
+
+    def __init__(self) -> None:
+        self.left = 0
+        """How many follow."""
+
+    def has(self, record: Record) -> bool:
+        """Whether the next record does."""
+        is_again = self.left > 0
+        self.left = record.again if isinstance(record, SharedBegan) else max(0, self.left - 1)
+        return is_again
+
+
 HEARD: Final = (Accepted, Ended, Feedback, Postponed, KnowledgeChanged, ResourcesChanged, Tick)
 """Events that servers, sensors and clocks bring about, and bring about again when they are asked again."""
 

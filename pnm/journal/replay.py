@@ -233,6 +233,7 @@ class Replay:
     """The time of the last record."""
     fields: dict[str, tuple[str, ...] | None] = field(default_factory=dict)
     """For actions by their text, the goal fields that their servers have."""
+    _repetition: records.Repetition = field(default_factory=records.Repetition)
     _machines: dict[str, tuple[records.MachineSource, PetriNetMachine]] = field(default_factory=dict)
     """Machines and what they are made from, by key."""
     _machines_before: dict[str, tuple[records.MachineSource, PetriNetMachine]] = field(default_factory=dict)
@@ -269,7 +270,7 @@ class Replay:
     def apply(self, number: int, time: float, record: records.Record) -> ReplayStep:
         """Replay a record; raise `ReplayDiffers` if its run does something else than it did then."""
         self.now, self.length = max(self.now, time), self.length + 1
-        is_again = self.shared is not None and self.length <= 1 + self.shared.again
+        is_again = self._repetition.has(record)
         self.ongoing.note(time, record, self.shared.since if self.shared and is_again else None)
         match record:
             case records.Happened():

@@ -14,7 +14,7 @@ from pnm.core.machine.guards import Ends
 from pnm.core.machine.plan_graph import ActionCall, PlanGraph
 from pnm.core.machine.requests import CallOutcome, Ended, OutcomeKind
 from pnm.core.net.net import PetriNet
-from pnm.journal.records import WORLD, Happened, KnowledgeBegan, KnowledgeDelta, SharedBegan, TaskOver
+from pnm.journal.records import WORLD, Happened, KnowledgeBegan, KnowledgeDelta, Repetition, TaskOver
 from pnm.tasks import Code
 from tests.support.runs.simulation.plans import HELD
 from tests.support.runs.simulation.story import Began, CancelSent, Committed, Finished, Heard, Sent, Started, Story, Suffered
@@ -148,10 +148,9 @@ def no_resource_is_used_beyond_its_capacity(story: Story) -> Iterator[str]:
 def every_task_ends(story: Story) -> Iterator[str]:
     """Every task ends once, in its goal or in a failure with a name, and no process has an error that it does not handle."""
     yield from story.failures
-    endings, again = Counter[UUID](), 0
+    endings, repetition = Counter[UUID](), Repetition()
     for record in story.records:
-        again = record.again if isinstance(record, SharedBegan) else again - 1
-        if isinstance(record, TaskOver) and again < 0:  # a segment begins with what is still of use of the one before
+        if not repetition.has(record) and isinstance(record, TaskOver):
             endings[record.task] += 1
     yield from (f"task {job.task} has {endings[job.task]} ends" for job in story.scenario.jobs if endings[job.task] != 1)
     for record in story.records:

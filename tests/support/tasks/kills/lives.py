@@ -17,7 +17,7 @@ from planner_bridge.tasks.result import TASKS
 from pnm.actions.simulated_robots import RobotLog, SimulatedRobots
 from pnm.core.logic.conditions import evaluate
 from pnm.core.machine.requests import Ended, OutcomeKind, Report, Request
-from pnm.journal.records import Happened, SharedBegan, TaskOver
+from pnm.journal.records import Happened, Repetition, TaskOver
 from pnm.journal.replay import Replay
 from pnm.journal.resume import replay_steps
 from pnm.tasks import Code
@@ -166,13 +166,11 @@ class Attendance:
 
 def _complaints(scenario: Scenario, journal: Path, robots: Robots) -> list[str]:
     """Compare the journal with what robots have done, and both with what was wanted."""
-    replay, overs, reported, again = Replay(), Counter[UUID](), dict[UUID, OutcomeKind](), 0
+    replay, overs, reported, repetition = Replay(), Counter[UUID](), dict[UUID, OutcomeKind](), Repetition()
     for step in replay_steps(journal, TASKS, replay):
-        again -= 1
+        is_again = repetition.has(step.record)
         match step.record:
-            case SharedBegan():
-                again = step.record.again
-            case TaskOver(task) if again < 0:  # a segment begins with what is still of use of the one before
+            case TaskOver(task) if not is_again:
                 overs[task] += 1
             case Happened(_, Ended(request, outcome)):
                 if request in reported and reported[request] is not outcome.kind:
