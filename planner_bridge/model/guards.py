@@ -14,7 +14,7 @@ from pnm.core.logic.conditions import All, Condition, Holds, Not, conjuncts
 from pnm.core.logic.domain import ActionSchema, Declaration
 from pnm.core.logic.effects import Effects, Set
 from pnm.core.logic.expressions import Constant, Fluent, Value, Variable, bind
-from pnm.core.machine.bindings import Bindings, placeholders
+from pnm.core.machine.bindings import Bindings, placeholders, with_parts
 from pnm.core.machine.plan_graph import GroundAction
 
 # --- forbidden actions ----------------------------------------------------------------------------
@@ -124,7 +124,7 @@ def calls_needing(problem: Problem, bindings: Bindings, names: Collection[str]) 
 
     def patterns(action: str) -> Iterable[str]:
         parameters = (f"{{{variable.name.removeprefix('?')}}}" for variable in problem.domain.actions[action].parameters)
-        return dict.fromkeys((*parameters, *(part for name in bindings.of(action).resources for part in (name, *name.split("/")))))
+        return dict.fromkeys((*parameters, *with_parts(bindings.of(action).resources)))
 
     return _calls_naming(problem, names, patterns)
 

@@ -23,7 +23,7 @@ from pnm.core.execution.run import Run
 from pnm.core.knowledge_base import KnowledgeBase, Layered
 from pnm.core.logic.conditions import conjuncts, evaluate, fluents, observed
 from pnm.core.logic.expressions import UNKNOWN
-from pnm.core.machine.bindings import Bindings, goal_data
+from pnm.core.machine.bindings import Bindings, goal_data, with_parts
 from pnm.core.machine.plan_graph import ActionCall
 from pnm.core.resources import Hand, Resources, who_keeps
 from pnm.errors import suggestion
@@ -540,7 +540,7 @@ class HandOver:
         """Return why nothing of this name can be in anybody's hands; empty if it can."""
         programs = self._runner.programs.values()
         objects = (one for names in self._runner.world.objects_by_type().values() for one in names)
-        resources = (part for binding in self._bindings.actions.values() for one in binding.resources for part in (one, *one.split("/")))
+        resources = with_parts(one for binding in self._bindings.actions.values() for one in binding.resources)
         known = dict.fromkeys((*problem.objects, *objects, *(one for one in resources if "{" not in one)))
         plans = ((program.plan.bindings, call.action) for program in programs for call in program.plan.graph.calls)
         if name in known or calls_needing(problem, self._bindings, [name]) or any(own.named(action, (name,)) for own, action in plans):

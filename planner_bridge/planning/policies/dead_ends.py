@@ -31,7 +31,8 @@ class DeadStates:
         """Whether all of them are known to be dead ends: a time-out proves nothing."""
         self.forbidden: dict[PolicyAction, list[PartialState]] = defaultdict(list)
         self._count = 2 * len(task.facts) + 2
-        self._places = range(0, 2 * len(task.facts), 2)
+        self._facts = range(2, 2 * len(task.facts) + 2)
+        """Two literals of each fact: that it is false, and that it is true."""
         self._groups = {1 << number: group for group in task.groups for number in places(group)}
         self._needs: list[list[int]] = []
         self._left: list[int] = []
@@ -94,7 +95,7 @@ class DeadStates:
         return self._count - 1
 
     def _weight(self, literal: int) -> tuple[bool, int, int]:
-        in_group = 2 <= literal <= self._places.stop + 1 and not literal & 1 and 1 << (literal // 2 - 1) in self._groups
+        in_group = literal in self._facts and not literal & 1 and 1 << (literal // 2 - 1) in self._groups
         return not in_group, len(self._made_by[literal]), literal
 
     def _rule(self, needs: list[int], makes: Iterable[int]) -> None:
@@ -137,9 +138,9 @@ class DeadStates:
         count = len(self.task.facts)
         everything = (1 << count) - 1
         waiting = [_ALWAYS]
-        for kind, literals in ((2, false), (3, true)):
+        for kind, literals in ((0, false), (1, true)):
             bits = format(everything & ~literals, f"0{count}b")[::-1]
-            waiting += [place + kind for place, bit in zip(self._places, bits, strict=False) if bit == "1"]
+            waiting += [literal for literal, bit in zip(self._facts[kind::2], bits, strict=False) if bit == "1"]
         for literal in waiting:
             reached[literal] = 1
         needed_by, makes = self._needed_by, self._makes
@@ -158,7 +159,7 @@ class DeadStates:
     def _reason(self, reached: bytearray, state: int) -> PartialState:
         """Return literals of the state that keep the goal from being reached: each rule for the goal misses one, and so on."""
         chosen, waiting = {_GOAL}, [_GOAL]
-        count, weight, needs = 2 * len(self.task.facts) + 2, self._weights.__getitem__, self._needs
+        weight, needs = self._weights.__getitem__, self._needs
         while waiting:
             for rule in self._made_by[waiting.pop()]:
                 if chosen.isdisjoint(needs[rule]):
@@ -167,7 +168,7 @@ class DeadStates:
                     waiting.append(literal)
         true = false = 0
         for literal in chosen:
-            if 2 <= literal < count:
+            if literal in self._facts:
                 bit = 1 << (literal // 2 - 1)
                 if literal & 1:
                     true |= bit

@@ -131,7 +131,9 @@ def task_from(known: PolicyTask, before: Problem, now: Problem) -> PolicyTask | 
         initial |= scale.up_to(number)
     if any((initial & group).bit_count() != 1 for group in known.groups):
         return None
-    actions = tuple(action for action in known.actions if not is_forbidden(now, action.name, action.arguments))
+    actions = known.actions
+    if before.guards != now.guards:
+        actions = tuple(action for action in actions if not is_forbidden(now, action.name, action.arguments))
     return replace(known, initial=known.rules.state(initial), actions=actions)
 
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import re
 import string
-from collections.abc import Callable, Collection, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from enum import Enum
@@ -263,12 +263,11 @@ class Bindings:
     def named(self, action: GroundAction, names: Collection[str]) -> str:
         """Return the first of these robots, objects and resources that the ground action needs; empty if it needs none of them.
 
-        It needs its arguments, its resources, and what a part of their names names: `r1` is part of ``r1/base``. Work on knowledge
-        needs nothing.
+        It needs its arguments, its resources, and the parts of their names. Work on knowledge needs nothing.
         """
         if action.operation is not None:
             return ""
-        needed = (*action.arguments, *(part for name in self.resources(action) for part in (name, *name.split("/"))))
+        needed = (*action.arguments, *with_parts(self.resources(action)))
         return next((name for name in needed if name in names), "")
 
     def names_server(self, action: GroundAction) -> bool:
@@ -283,6 +282,11 @@ class Bindings:
 
 NO_BINDINGS: Final = Bindings()
 """Those of servers that are called as the actions, with goals that are filled by name."""
+
+
+def with_parts(resources: Iterable[str]) -> Iterator[str]:
+    """Yield resources, each with the parts of its name behind it: `r1` is a part of ``r1/base``."""
+    return (part for name in resources for part in (name, *name.split("/")))
 
 
 def is_open(resource: str) -> bool:
