@@ -48,7 +48,7 @@ def answered(text: str, world: KnowledgeBase) -> tuple[Answer, ...]:
 def why_goal(problem: Problem, found: PlanningResult, limit: AnswerLimit) -> tuple[Answer, ...]:
     """Return the purpose of each call of a plan; or why there is none, and what would help."""
     if found.plan is not None:
-        short = why_not_short(problem, found.plan, limit) if found.policy else None
+        short = why_not_short(problem, found.plan, limit) if found.policy and found.policy.entries else None
         return tuple(filter(None, (why_plan(problem, found.plan), short)))
     reason = why_no_plan(problem, found, limit)
     return reason, what_would_help(problem, limit, reason)

@@ -102,12 +102,12 @@ class PolicyChain:
     def of(
         problem: Problem, policy: Policy, bindings: Bindings, attempts: Attempts, most: int = MOST_STATES, begun: PlanGraph | None = None
     ) -> PolicyChain | None:
-        """Return the chain; None if calls have no exact odds, there are more states, or nothing tells some outcomes apart.
+        """Return the chain; None if there is no policy yet, calls have no exact odds, or there are more states, or outcomes untold.
 
         Args:
             begun: what is carried out from the initial state on; by default what the policy does there.
         """
-        if any(untold(problem, bindings, bindings.assumed)):
+        if not policy.entries or any(untold(problem, bindings, bindings.assumed)):
             return None
         read = decisive_names(problem)
         numbers: dict[frozenset[tuple[Fluent, object]], int] = {}

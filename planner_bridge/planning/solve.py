@@ -106,20 +106,26 @@ def solve(
         return PlanningResult(PlanningStatus.UNSUPPORTED, message=message, planner=planner)
     from planner_bridge.model.determinization import determinization  # here, because most actions have one outcome
 
-    note, began = "", time.monotonic()
+    note, until, each = "", time.monotonic() + timeout, determinization(problem)
+    those = rates and replace(rates, bindings=each.bindings(rates.bindings), learned=each.rates(rates.learned))
+
+    def chosen() -> PlanningResult:
+        """Search for a plan as if outcomes could be chosen."""
+        found = _searched(each.problem, planner, max(0.0, until - time.monotonic()), improve, cancel, executor, those)
+        return found if found.plan is None else replace(found, plan=each.plan(found.plan))
+
     if planner == DEFAULT_PLANNER:
-        tried = _beginning_of_policy(problem, timeout, improve, cancel, rates, bindings, before)
-        if isinstance(tried, PlanningResult):
-            return tried
-        note, timeout = tried, max(0.0, timeout - (time.monotonic() - began))
-    each = determinization(problem)
-    if rates is not None:
-        rates = replace(rates, bindings=each.bindings(rates.bindings), learned=each.rates(rates.learned))
-    found = _searched(each.problem, planner, timeout, improve, cancel, executor, rates)
-    return explained(problem, found) if found.plan is None else replace(found, plan=each.plan(found.plan), message=note)
+        from planner_bridge.planning.policies.task import Unsuitable  # here, as above
+
+        try:
+            return _with_policy(problem, timeout, improve, cancel, rates, bindings, before, chosen)
+        except Unsuitable as unsuitable:
+            note = str(unsuitable)
+    found = chosen()
+    return explained(problem, found) if found.plan is None else replace(found, message=note)
 
 
-def _beginning_of_policy(
+def _with_policy(
     problem: Problem,
     timeout: float,
     improve: float | None,
@@ -127,11 +133,19 @@ def _beginning_of_policy(
     rates: ExpectedTimes | None,
     bindings: Bindings | None,
     before: Policy | None,
-) -> PlanningResult | str:
-    """Return the plan that a policy begins with, and the policy, which goes on getting better; or why there is none."""
+    chosen: Callable[[], PlanningResult],
+) -> PlanningResult:
+    """Return the plan that a policy begins with, and the policy, which goes on getting better.
+
+    If none is found in time, a plan is followed with luck, and the search goes on; at once where the last search was in vain.
+
+    Args:
+        chosen: searches for a plan as if outcomes could be chosen.
+
+    Raises `Unsuitable` if there are no policies for such a problem.
+    """
     from planner_bridge.model.determinization import untold  # here, because most actions have one outcome
-    from planner_bridge.planning.policies.policy import PolicySearch, Thinking
-    from planner_bridge.planning.policies.task import Unsuitable
+    from planner_bridge.planning.policies.policy import PolicySearch, Thinking, WithLuck
 
     until = time.monotonic() + _FOR_POLICIES * timeout
     last = before.search if isinstance(before, Thinking) else None
@@ -143,14 +157,16 @@ def _beginning_of_policy(
     def is_over() -> bool:
         return time.monotonic() > until or (cancel is not None and cancel.is_set())
 
-    try:
-        thinking = Thinking(PolicySearch(problem, seconds, rates.outcomes if rates else None, last, is_over), timeout, cancel, at_work)
-        policy = thinking.wait(until - time.monotonic(), improve, worth)
-        plan = None if policy is None else policy.plan(initial_knowledge(problem))
-    except Unsuitable as unsuitable:
-        return str(unsuitable)
+    search = PolicySearch(problem, seconds, rates.outcomes if rates else None, last, is_over)
+    thinking, found = Thinking(search, timeout, cancel, at_work), chosen() if search.is_hard else None
+    policy = thinking.policy if found and found.plan else thinking.wait(until - time.monotonic(), improve, worth)
+    plan = None if policy is None else policy.plan(initial_knowledge(problem))
     if plan is None:
-        return "no policy was found in time"  # which ends the search, as it is dropped here
+        found = found or chosen()
+        if found.plan is None:
+            return explained(problem, found)
+        thinking.fallback = WithLuck(problem, found.plan)
+        return replace(found, message="no policy was found in time", policy=thinking)
     unseen = untold(problem, bindings, bindings.assumed) if bindings else ()
     notes = [f"nothing tells {' and '.join(ways)} of {action} apart: there the policy may not go on" for action, ways, _ in unseen]
     return PlanningResult(PlanningStatus.SOLVED, plan, "; ".join(notes), planner=DEFAULT_PLANNER, policy=thinking)

@@ -7,7 +7,7 @@ import time
 import weakref
 from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property, partial, reduce
 from itertools import chain, product
 from math import inf, isfinite
@@ -36,6 +36,8 @@ _CHANCE: Final = 0.5
 """Seconds for a better chance before the first action."""
 _CERTAIN: Final = 0.6
 """Part of the time in which a policy is looked for that reaches the goal for certain."""
+_AGAIN: Final = 0.1
+"""The same where the search before was in vain."""
 
 
 class PolicyEntry(NamedTuple):
@@ -217,6 +219,37 @@ def _after(effects: Effects, before: KnowledgeBase) -> KnowledgeBase:
     return state
 
 
+@dataclass(frozen=True, eq=False)
+class WithLuck:
+    """A plan that is followed like a policy, wherever a rest of it leads to the goal if outcomes are as it expects."""
+
+    problem: Problem
+    whole: Plan
+    entries: tuple[PolicyEntry, ...] = ()
+    chance: float = 0.0
+    is_proved: bool = False
+
+    def stretch(self, state: KnowledgeBase) -> Plan | None:
+        """Return what to do from a state up to the next action with several outcomes; None if no rest of the plan leads to the goal."""
+        steps, uncertain = self.whole.steps, self.problem.domain.uncertain
+        for first in reversed(range(len(steps))):  # the shortest rest: with luck, the next one is shorter
+            if self._leads_on(steps[first:], state):
+                last = next((place for place in range(first, len(steps)) if steps[place].action in uncertain), len(steps))
+                return replace(self.whole, steps=steps[first : last + 1])
+        return None
+
+    def _leads_on(self, steps: Sequence[PlanStep], state: KnowledgeBase) -> bool:
+        for step in steps:
+            ground = ground_step(self.problem.domain, step.action, step.arguments, step.duration, "", self.problem.members)
+            if evaluate(ground.precondition, state) is not True:
+                return False
+            begun = _after(ground.start_effects, state)
+            if not all(evaluate(condition, begun) is True for condition in (ground.invariant, ground.end_condition)):
+                return False
+            state = _after(next((way.effects for way in ground.outcomes if way.name == step.outcome), ground.end_effects), begun)
+        return evaluate(self.problem.goal, state) is True
+
+
 class Thinking:
     """A policy that becomes better while robots work. Those found so far, the best one first, are mutable state: a thread adds to them."""
 
@@ -225,7 +258,9 @@ class Thinking:
     ) -> None:
         self.problem: Problem = search.problem
         self.search = search
-        self.policies: tuple[Policy, ...] = ()
+        self.found: tuple[Policy, ...] = ()
+        self.fallback: WithLuck | None = None
+        """What is followed as long as there is none."""
         self.error: Exception | None = None
         """What ended the search before its time, a fault of this program."""
         self._found, self._over = threading.Event(), threading.Event()
@@ -246,7 +281,7 @@ class Thinking:
         """
         until = time.monotonic() + timeout
         self._found.wait(timeout)
-        if self.error is not None and not self.policies:
+        if self.error is not None and not self.found:
             raise self.error
         if (found := self.policy) is not None and (improve is not None or not found.is_proved or found.measure != "calls"):
             if improve is None:
@@ -256,9 +291,14 @@ class Thinking:
         return self.policy
 
     @property
+    def policies(self) -> tuple[Policy | WithLuck, ...]:
+        """What to follow, the best one first."""
+        return (*self.found, self.fallback) if self.fallback else self.found
+
+    @property
     def policy(self) -> Policy | None:
         """The best policy so far."""
-        return self.policies[0] if self.policies else None
+        return self.found[0] if self.found else None
 
     @property
     def entries(self) -> tuple[PolicyEntry, ...]:
@@ -298,7 +338,7 @@ def _think(owner: weakref.ref[Thinking], better: Iterator[Policy], found: thread
             thinking = owner()
             if thinking is None:
                 break
-            thinking.policies = policy, *thinking.policies
+            thinking.found = policy, *thinking.found
             del thinking
             found.set()
     except Exception as error:  # told where a policy is waited for
@@ -340,6 +380,13 @@ class PolicySearch:
         self.task: PolicyTask = known or policy_task(problem, seconds, chances, is_over)
         self.certain: Search | None = before.certain if before and known else None
         """The last search for a policy that reaches the goal for certain."""
+        self.is_hard: bool = before is not None and before.is_in_vain
+        """Whether the search before was in vain."""
+
+    @property
+    def is_in_vain(self) -> bool:
+        """Whether no policy that reaches the goal for certain has been found for the state that it was made for."""
+        return self.certain is not None and self.certain.settled(self.certain.task.initial) is None
 
     def policies(
         self, timeout: float, cancel: CancelToken | None = None, at_work: Callable[[float], float] = lambda _: inf
@@ -351,7 +398,8 @@ class PolicySearch:
         """
         problem, task, began = self.problem, self.task, time.monotonic()
         until, kairos = began + timeout, OutcomePlanner(problem, task)
-        search, before = Search(task, kairos, began + timeout * _CERTAIN, cancel), self.certain
+        before, share = self.certain, _AGAIN if self.is_hard else _CERTAIN
+        search = Search(task, kairos, began + timeout * share, cancel)
         if before is not None:
             search.take_over(before)
         self.certain = search

@@ -126,7 +126,7 @@ class Found(Thinking):
     """Policies that are found by hand."""
 
     def __init__(self, *policies: Policy) -> None:
-        self.problem, self.policies = CUPS, policies
+        self.problem, self.found, self.fallback = CUPS, policies, None
 
 
 def test_a_better_policy_that_is_found_at_work_is_noted_when_it_is_followed(tmp_path: Path) -> None:
@@ -140,7 +140,7 @@ def test_a_better_policy_that_is_found_at_work_is_noted_when_it_is_followed(tmp_
     def drawn(action: GroundAction, _: Random) -> Fault:
         came = next(coming) if action.name == "pick" else ""
         if came == CAME[1]:
-            found.policies = best, *found.policies
+            found.found = best, *found.found
         return Fault(action.name, outcome=came)
 
     assert achieve(None, CUPS, settings=Settings(memory=Known()), faults=Faults(drawn=drawn), journal=tmp_path / "journal").goal_reached

@@ -16,7 +16,7 @@ from planner_bridge.model.problem import Problem
 from planner_bridge.pddl.reader import parse_domain, parse_problem
 from planner_bridge.planning.policies import policy as room
 from planner_bridge.planning.policies.grounding import policy_task
-from planner_bridge.planning.policies.policy import Policy, PolicySearch, policies
+from planner_bridge.planning.policies.policy import Policy, PolicySearch, Thinking, policies
 from planner_bridge.planning.policies.search import Search
 from planner_bridge.planning.policies.task import PolicyAction, Unsuitable
 from planner_bridge.planning.solve import solve
@@ -126,3 +126,31 @@ def test_what_takes_too_long_to_be_made_ready_has_no_policy(monkeypatch: pytest.
     monkeypatch.setattr("planner_bridge.planning.policies.grounding.modelled_duration", made)
     assert solve(many, cancel=stop).status is PlanningStatus.CANCELLED
     assert not made.called, "nothing is made ready that nobody waits for"
+
+
+def test_without_a_policy_a_plan_is_followed_as_long_as_its_rest_works(monkeypatch: pytest.MonkeyPatch) -> None:
+    actions = """(:action rest :parameters () :effect (rested))
+      (:action go :parameters (?a ?b - place) :precondition (and (at ?a) (rested))
+        :effect (oneof (and (not (at ?a)) (at ?b)) (and) (and (not (at ?a)) (lost))))
+      (:action search :parameters () :precondition (lost) :effect (oneof (and (not (lost)) (at b)) (and)))"""
+    text = f"(define (domain d) {HEADER} (:types place) (:constants a b c - place) (:predicates (at ?p - place) (rested) (lost)) {actions})"
+    lost = parse_problem("(define (problem p) (:domain d) (:init (at a)) (:goal (at c)))", parse_domain(text))
+    monkeypatch.setattr(PolicySearch, "policies", lambda *_: iter(()))
+    monkeypatch.setattr(PolicySearch, "is_in_vain", True)
+    found = solve(lost)
+    assert found.message == "no policy was found in time"
+    assert isinstance(found.policy, Thinking)
+    state = initial_knowledge(lost)
+
+    def follows(*facts: str) -> list[str] | None:
+        state.update(dict.fromkeys([("at", "a"), ("at", "b"), ("lost",)], False))
+        state.update({tuple(fact.split()): True for fact in facts})
+        plan = found.policy and found.policy.stretch(state)
+        return plan and [f"{step.action} {' '.join(step.arguments)}" for step in plan.steps]
+
+    assert follows("at a") == ["rest ", "go a c"], "up to what may end in several ways"
+    assert follows("at a", "rested") == ["go a c"], "not again what has been done"
+    assert follows("lost") is None, "there a planner is asked"
+    again = solve(lost, before=found.policy)
+    assert isinstance(again.policy, Thinking)
+    assert again.policy.search.is_hard, "for which nobody waits"
