@@ -131,6 +131,8 @@ class RunHistory:
     """The time from which releases count; its beginning unless it was given another one."""
     results: Mapping[int, CallResult] | None = None
     """The results of the calls that it has reached, by number, once it is not carried on any more."""
+    ended: float | None = None
+    """The time from which it is not."""
     sent: dict[int, list[UUID]] = field(default_factory=dict)
     """The requests that it has sent, by call."""
     requests: int = 0
@@ -533,7 +535,7 @@ class JournalHistory:
             task.decision = None
 
     def _note_results(self, run: RunHistory, results: Iterable[Became]) -> None:
-        run.results = {one.call: one.of(run.source.plan) for one in results}
+        run.results, run.ended = {one.call: one.of(run.source.plan) for one in results}, self.time
 
     def _note_event(self, run: RunHistory, time: float, record: records.Happened) -> None:
         for delta in record.deltas:

@@ -13,12 +13,11 @@ from contextlib import suppress
 from dataclasses import replace
 from math import inf
 from threading import Lock
-from typing import Final, TypeVar
+from typing import Final, Generic, TypeVar
 
-from planner_bridge.explanations.history import beginning
 from planner_bridge.pipeline.odds import NOTHING_KNOWN, KnownRobots
 from planner_bridge.tasks.result import TASKS
-from planner_bridge.view.story import SEGMENTS, Story, View, view_of
+from planner_bridge.view.story import Story, View, view_of
 from pnm.errors import PnmError
 from pnm.files.database.place import Place
 from pnm.journal.kept import Rewritten
@@ -31,21 +30,23 @@ _IDLE: Final = 0.25
 """Seconds between two looks into one that has not."""
 
 T = TypeVar("T")
+S = TypeVar("S", bound=Story)
 _log = logging.getLogger(__name__)
 
 
-class Reader:
-    """Reads a journal, which need not be there yet. Any thread may call; one at a time is served.
+class Reader(Generic[S]):
+    """Reads a journal, which need not be there yet, as a kind of story. Any thread may call; one at a time is served.
 
     What is known of robots gives odds. The mutable state is the story so far, and what is shown of it.
     """
 
-    def __init__(self, place: Place, known: KnownRobots = NOTHING_KNOWN) -> None:
+    def __init__(self, place: Place, known: KnownRobots = NOTHING_KNOWN, tells: type[S] = Story) -> None:  # type: ignore[assignment]
         self._place = place
         self._known = known
+        self._tells = tells
         self._lock = Lock()
         self._kept: KeptJournal | None = None
-        self._story: Story | None = None
+        self._story: S | None = None
         self._stuck: tuple[Seen, PnmError] | None = None
         """The record that cannot be replayed, whenever it is tried, and why."""
         self._view = View()
@@ -64,7 +65,14 @@ class Reader:
                 self._view = replace(self._view, problem=problem)
             return self._view
 
-    def at(self, number: int, tell: Callable[[Story], T]) -> T | None:
+    def now(self, tell: Callable[[S], T]) -> T:
+        """Return a function of the story after the last record; raise a `PnmError` if the journal is not read or replayed."""
+        with self._lock:
+            self._go_to(inf)
+            assert self._story is not None, "it has begun by now"
+            return tell(self._story)
+
+    def at(self, number: int, tell: Callable[[S], T]) -> T | None:
         """Return a function of the story after a record, None if it is not there; raise a `PnmError` if it is not read or replayed."""
         with self._lock:
             kept = self._opened()
@@ -98,10 +106,9 @@ class Reader:
             self._replay(kept, number)
 
     def _begin(self, kept: KeptJournal, number: float) -> None:
-        """Begin a story that reaches back to the segment before that of a record, and to the beginnings of the tasks that went on there."""
+        """Begin a story that reaches back as far as is needed to tell all after a record."""
         self._stuck = None
-        self._story = Story(lambda key: TASKS.value(kept.part(key)), self._known)
-        self._story.number = beginning(kept, number, SEGMENTS)
+        self._story = self._tells.of(kept, number, self._known)
 
     def _replay(self, kept: KeptJournal, number: float) -> None:
         assert self._story is not None
@@ -134,7 +141,7 @@ class Feed:
     To be used on one event loop. The mutable state is the view, how many watch, and what reads for them.
     """
 
-    def __init__(self, reader: Reader) -> None:
+    def __init__(self, reader: Reader[Story]) -> None:
         self._reader = reader
         self.view = View()
         self.watching = 0
@@ -165,7 +172,7 @@ class Feed:
                 self._reading.cancel()
                 self._reading = None
 
-    async def asked(self, number: int, tell: Callable[[Story], T], past: Reader) -> T | None:
+    async def asked(self, number: int, tell: Callable[[Story], T], past: Reader[Story]) -> T | None:
         """Return a function of the story after a record, by the reader that stands there or another; raise a `PnmError` as `at` does."""
         return await asyncio.to_thread((self._reader if number == self.view.number else past).at, number, tell)
 

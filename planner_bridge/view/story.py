@@ -15,14 +15,15 @@ from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field
 from functools import partial
 from math import isfinite
-from typing import TYPE_CHECKING, Any, Final, NamedTuple, TypeAlias
+from typing import TYPE_CHECKING, Any, Final, NamedTuple, Self, TypeAlias
 from uuid import UUID
 
-from planner_bridge.explanations.history import Attempt, JournalHistory, RunHistory, TaskHistory, Trouble
+from planner_bridge.explanations.history import Attempt, JournalHistory, RunHistory, TaskHistory, Trouble, beginning
 from planner_bridge.model.grounding import problem_now
 from planner_bridge.pipeline.odds import NOTHING_KNOWN, KnownRobots
 from planner_bridge.pipeline.policy_odds import RestOfPlan
 from planner_bridge.tasks.replanning import decision_words
+from planner_bridge.tasks.result import TASKS
 from pnm.core.execution.call_results import CallResult, Failure
 from pnm.core.execution.events import Answered, Ask, Restarted, Withdraw
 from pnm.core.execution.questions import EvaluationContext
@@ -36,6 +37,7 @@ from pnm.errors import PnmError
 from pnm.files.database.place import Place, place_of
 from pnm.journal import records
 from pnm.journal.replay import ReplayStep, words
+from pnm.journal.store import KeptJournal
 from pnm.tasks import TaskState, percent
 
 if TYPE_CHECKING:
@@ -99,6 +101,13 @@ class Story(JournalHistory):
         """Those of runs."""
         self._shown: dict[str, tuple[object, Thing]] = {}
         """What was shown last, and its sources: most things have not changed since."""
+
+    @classmethod
+    def of(cls, kept: KeptJournal, number: float, known: KnownRobots = NOTHING_KNOWN) -> Self:
+        """Return a story that can tell all after a record, and of the segment before: as it is before the first of these."""
+        story = cls(lambda key: TASKS.value(kept.part(key)), known)
+        story.number = beginning(kept, number, SEGMENTS)
+        return story
 
     @property
     def questions(self) -> dict[str, Thing]:

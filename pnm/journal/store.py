@@ -491,6 +491,10 @@ class KeptJournal:
         """Return where it belongs, if that is known."""
         return next((Home(*row) for row in self._read(tables.HOME)), None)
 
+    def epoch_began(self, epoch: int) -> float:
+        """Return the time of day, in seconds, at which a process has taken it; 0 if that is not known."""
+        return next((float(wall) for (wall,) in self._read(tables.EPOCH, epoch=epoch)), 0.0)
+
     def writer(self) -> str:
         """Return the process that has written it last."""
         return next((str(holder) for (holder,) in self._read(tables.LAST_HOLDER)), "")

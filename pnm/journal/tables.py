@@ -56,6 +56,7 @@ SETTLE: Final = (
 HOME: Final = SqlQuery("SELECT node, host, file FROM home", (str, str, str))
 MOVE: Final = "UPDATE home SET file = :inode"
 FIRST_EPOCH: Final = SqlQuery("SELECT wall, holder FROM epochs ORDER BY epoch LIMIT 1", (float, str))
+EPOCH: Final = SqlQuery("SELECT wall FROM epochs WHERE epoch = :epoch", (float,))
 LAST_HOLDER: Final = SqlQuery("SELECT holder FROM epochs ORDER BY epoch DESC LIMIT 1", (str,))
 
 # --- what is kept ---
