@@ -43,6 +43,7 @@ ELSEWHERE: Final = {
     "schema": ("convert", "Write the JSON Schema of YAML files, for editors."),
     "serve": ("running_node", "Take goals over ROS 2 until interrupted."),
     "status": ("running_node", "Show the tasks of the node."),
+    "telemetry": ("journal", "Give a journal to OpenTelemetry or Foxglove."),
     "take": ("running_node", "Take a robot over: nothing is sent to it."),
     "watch": ("running_node", "Follow the tasks of the node until interrupted."),
     "why": ("why", "Explain a plan, or why there is none, or a run."),

@@ -10,6 +10,7 @@ import sys
 from collections.abc import Iterator, Sequence
 from contextlib import closing, contextmanager
 from datetime import datetime
+from io import BytesIO
 from pathlib import Path
 from time import time
 from typing import Any, Final
@@ -24,8 +25,8 @@ from planner_bridge.node.node_journal import latest_journal
 from planner_bridge.tasks.result import TASKS
 from planner_bridge.view.story import timelines_svg
 from pnm.core.knowledge_base import statement_text
-from pnm.errors import InputError, printable
-from pnm.files.database.place import Place, place_of
+from pnm.errors import InputError, counted, printable
+from pnm.files.database.place import Place, place_of, without_password
 from pnm.journal.codec import Undecodable
 from pnm.journal.kept import DAY, KEPT, LISTED, JournalChoice, JournalError
 from pnm.journal.lease import take
@@ -142,6 +143,41 @@ def learn(sources: tuple[str, ...], output: Path | None) -> int:
     else:
         update_rates(output, more)
         print(f"wrote {output}", file=sys.stderr)
+    return 0
+
+
+@click.command(epilog="Examples: pnm telemetry --otlp http://localhost:4318 --follow; pnm telemetry tasks.journal --mcap tasks.mcap")
+@journal_argument
+@click.option("--otlp", metavar="URL", help="send traces to this collector: task, plan, call and attempt")
+@click.option("--follow", "follows", is_flag=True, help="send what has ended, and the rest when it ends, until interrupted")
+@click.option("--mcap", type=options.FILE, help="a new MCAP file for Foxglove, and beside it its layout, FILE.layout.json")
+@options.force_option
+@command
+def telemetry(journal: str | None, otlp: str | None, follows: bool, mcap: Path | None, force: bool) -> int:
+    """Give a journal to OpenTelemetry or Foxglove.
+
+    Reads the journal alone: no node waits for it. Numbers for Prometheus are at /metrics of the page of --view.
+    The default JOURNAL is the node's journal written last on this computer.
+    """
+    if (otlp is None) == (mcap is None) or (follows and otlp is None):
+        raise InputError("expected --otlp URL, with --follow or without, or --mcap FILE")
+    if mcap is not None:
+        layout = mcap.with_name(f"{mcap.name}.layout.json")
+        for path in (mcap, layout):
+            options.check_output(path, force=force)
+        from planner_bridge.view.recording import record  # here, because what it needs is an extra
+
+        written = BytesIO()
+        with errors_of_journals():
+            shown = record(chosen_journal(journal), written)
+        options.write_files({mcap: written.getvalue(), layout: shown}, force=force)
+        return 0
+    from planner_bridge.view.spans import collector, export  # here, because what it needs is an extra
+
+    send = collector(otlp or "")
+    with errors_of_journals():
+        count = export(chosen_journal(journal), send, follows=follows)
+    print(f"{counted(count, 'span')} sent to {without_password(otlp or '')}", file=sys.stderr)
     return 0
 
 

@@ -358,8 +358,8 @@ def check_output(path: Path, *, force: bool) -> None:
         raise InputError(f"{path}: already exists; use --force to overwrite it")
 
 
-def write_files(texts: Mapping[Path, str], *, force: bool) -> None:
-    """Write texts to new files in folders that exist, and name them on stderr.
+def write_files(texts: Mapping[Path, str | bytes], *, force: bool) -> None:
+    """Write texts, or bytes, to new files in folders that exist, and name them on stderr.
 
     Raises:
         InputError: a file exists, unless they are replaced, or cannot be written. Nothing is written if that is known before.
@@ -368,8 +368,8 @@ def write_files(texts: Mapping[Path, str], *, force: bool) -> None:
         check_output(path, force=force)
     for path, text in texts.items():
         try:
-            with path.open("w" if force or path.exists() else "x", encoding="utf-8") as stream:
-                stream.write(text)
+            with path.open("wb" if force or path.exists() else "xb") as stream:
+                stream.write(text.encode() if isinstance(text, str) else text)
         except OSError as error:
             raise InputError(f"{path}: cannot be written: {error.strerror}") from error
         print(f"wrote {path}", file=sys.stderr)

@@ -17,7 +17,7 @@ from dataclasses import dataclass, field, fields
 from functools import partial
 from itertools import count
 from pathlib import Path
-from typing import Any, Final, TypeVar
+from typing import TYPE_CHECKING, Any, Final, TypeVar
 from uuid import UUID, uuid4
 
 import uvicorn
@@ -37,6 +37,9 @@ from pnm.core.knowledge_base import KnowledgeBase
 from pnm.core.pictures.plan_picture import plan_svg
 from pnm.errors import InputError, PnmError, printable
 from pnm.files.database.place import Place
+
+if TYPE_CHECKING:
+    from planner_bridge.view.metrics import Metrics
 
 
 def shown_json(value: object) -> str:
@@ -76,11 +79,13 @@ T = TypeVar("T")
 class ViewApp:
     """The application."""
 
-    def __init__(self, place: Place, feed: Feed, past: Reader, control: Control) -> None:
+    def __init__(self, place: Place, feed: Feed, past: Reader[Story], control: Control) -> None:
         self._place = place
         self._feed = feed
         self._past = past
         self._control = control
+        self._metrics: Metrics | None = None
+        """Those that somebody has asked for."""
         self._key = uuid4().hex
         """Of this journal as this process reads it: numbers of records that a browser has from elsewhere mean nothing here."""
         routes = [
@@ -91,6 +96,7 @@ class ViewApp:
             Route("/picture", partial(self._picture, tell=lambda _, run: run.source.plan, draw=partial(plan_svg, style=""))),
             Route("/policy", partial(self._picture, tell=Followed.by, draw=Followed.picture)),
             Route("/events", self._events),
+            Route("/metrics", self._numbers),
             Route("/control", control.look),
             Route("/control", partial(control.do, world=self._projected), methods=["POST"]),
             Mount("/page", StaticFiles(directory=PAGE)),
@@ -114,6 +120,21 @@ class ViewApp:
             return ShownResponse([answer.as_json() for answer in explained(self._place, *about)])
 
         return await self._told_of_call(request, asked, answered)
+
+    def close(self) -> None:
+        """Read no more for numbers."""
+        if self._metrics is not None:
+            self._metrics.close()
+
+    async def _numbers(self, request: Request) -> Response:
+        """Answer with the numbers of the journal for Prometheus."""
+        from planner_bridge.view.metrics import Metrics  # here, because few ask for them, and what it needs is an extra
+
+        try:
+            self._metrics = self._metrics or Metrics(self._place)
+            return Response(await asyncio.to_thread(self._metrics.text), media_type="text/plain; version=0.0.4")
+        except PnmError as error:
+            return _refused(str(error), 503)
 
     async def _projected(self) -> KnowledgeBase:
         """Return the world as it will be when what is under way has ended."""
@@ -387,7 +408,7 @@ def serve_page(
             await feed.close()
             await super().shutdown(sockets)
 
-    reader, past = Reader(place, known), Reader(place, known)
+    reader, past = (Reader[Story](place, known) for _ in range(2))
     feed = Feed(reader)
     app = ViewApp(place, feed, past, control)
     config = uvicorn.Config(
@@ -411,3 +432,4 @@ def serve_page(
         asyncio.run(serve())
     reader.close()
     past.close()
+    app.close()
