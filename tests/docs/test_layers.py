@@ -26,6 +26,9 @@ ONLY = {
     "starlette": "planner_bridge/view/",
     "uvicorn": "planner_bridge/view/",
     "mcp": "planner_bridge/node/agents.py",
+    "opentelemetry": "planner_bridge/view/",
+    "prometheus_client": "planner_bridge/view/",
+    "mcap_ros2": "planner_bridge/view/",
 }
 
 
