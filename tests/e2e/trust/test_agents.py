@@ -57,10 +57,15 @@ class Node:
 @pytest.fixture(scope="module")
 def node(deploy_for_module: Callable[..., ProblemDeployment]) -> Node:
     deployment = deploy_for_module("delivery/p01", speed="20", quick=True)
-    robots, journal = deployment.simulate().ready(), str(deployment.folder / "node.journal")
+    return serve(deployment, deployment.simulate().ready())[1]
+
+
+def serve(deployment: ProblemDeployment, robots: SimulationProgram) -> tuple[Serving, Node]:
+    """Start a node with a page for people, which goes on with the journal of the one before."""
+    journal = str(deployment.folder / "node.journal")
     options = ["--view=0", "--view-controls", "--journal", journal]
     served = deployment.pnm(Serving, "serve", *deployment.files, *options).ready()
-    return Node(deployment, robots, serving.announced(served.err), journal)
+    return served, Node(deployment, robots, serving.announced(served.err), journal)
 
 
 async def open_question(client: Client) -> str:
@@ -109,6 +114,37 @@ def test_a_goal_is_proposed_and_reached_after_a_person_has_said_yes_on_the_page(
 
     asyncio.run(propose())
     assert node.moved() == ["move(r1, store, hall)"]
+
+
+def test_a_node_that_dies_while_a_yes_is_awaited_moves_nothing_without_it_afterwards(deploy: Callable[..., ProblemDeployment]) -> None:
+    deployment = deploy("delivery/p01", speed="20", quick=True)
+    robots = deployment.simulate().ready()
+    dying, node = serve(deployment, robots)
+
+    async def propose() -> str:
+        async with node.agent("confirm: always") as client:
+            sent = await asked(client, "send_goal", goal="(at r1 hall)")
+            await open_question(client)
+            return str(sent["task"])
+
+    task = asyncio.run(propose())
+    dying.kill()
+    _, later = serve(deployment, robots)
+
+    async def decide() -> None:
+        async with later.agent("confirm: always") as client:
+            question = await open_question(client)
+            waits = await task_of(client, task, lambda one: True)
+            assert (waits["state"], waits["reason"], later.moved()) == ("queued", "waits for a person's yes", [])
+            assert "for a person to say" in await asked(client, "answer", question=question, text="yes")
+            other = await asked(client, "send_goal", goal="(at r2 store)")  # which has its own question
+            await asked(client, "cancel", task=other["task"])
+            assert later.moved() == []
+            assert later.says(question, "yes") == 200
+            over = await task_of(client, task, lambda one: one["state"] == "over")
+            assert (over["code"], later.moved()) == ("goal_reached", ["move(r1, store, hall)"])
+
+    asyncio.run(decide())
 
 
 def test_an_agent_that_needs_no_yes_holds_and_ends_what_it_has_sent(node: Node) -> None:
