@@ -516,6 +516,7 @@ class HandOver:
         for executor, run in going_on:  # its requests pass to no other run
             while name in taken and executor.run is run and not executor.ended and needing(run, run.open_calls.values()):
                 await executor.happens()
+        self._look_again()  # what was cancelled waits from now on, which is to be said
         calls = [(run, one.call) for _, run in going_on for one in run.result_so_far().failures if one.unconfirmed]
         at_work = [one for run, call in calls if isinstance(call, ActionCall) for one in needing(run, [call])]
         withheld = {one: by for one, by in runner.resources.withheld.items() if name in (one, *one.split("/"))}

@@ -68,6 +68,22 @@ async def test_the_other_calls_of_a_task_go_on(simulation: TaskSimulation):
 
 
 @simulated()
+async def test_what_a_task_waits_for_is_said_when_the_cancellation_is_confirmed_late(
+    simulation: TaskSimulation, monkeypatch: pytest.MonkeyPatch
+):
+    task = await simulation.begun("(and (at r0 a2) (at r1 a3))")
+    await simulation.sees(task, "sent", "r1")
+    robots, later = simulation.backend.robots, asyncio.get_running_loop().call_later
+    with monkeypatch.context() as patch:
+        patch.setattr(robots, "cancel", lambda request, at_once=robots.cancel: later(0.5, at_once, request))
+        assert await simulation.master.take("r0") == ""
+    await simulation.until(lambda: simulation.holds("(at r1 a3)"))
+    assert reason(simulation, task).startswith("waits: r0 is in")
+    await simulation.master.give("r0")
+    await simulation.reaches(task)
+
+
+@simulated()
 async def test_what_the_person_has_done_is_planned_with(simulation: TaskSimulation):
     task = await simulation.begun("(at r0 a2)")
     await simulation.master.take("r0")
