@@ -17,6 +17,7 @@ from click.testing import CliRunner
 from planner_bridge.cli.commands import app
 from planner_bridge.node.options import PARAMETERS
 from planner_bridge.pipeline.loading import load
+from planner_bridge.planning.solve import solve
 from planner_bridge.tasks.result import code_of_failures
 from pnm.actions.bindings_file import read_bindings
 from pnm.actions.faults import FaultKind
@@ -99,6 +100,23 @@ def test_the_files_of_the_page_about_nav2_fit_types_of_its_shape(tmp_path: Path)
     for place, stamped in table.items():
         reading = read(sensor, partial(value_in, {"pose": stamped}), {})  # a pose with covariance has its pose inside of a pose
         assert [fluent for fluent, value in reading.facts.items() if value is True] == [("at", place)]
+
+
+def test_the_patrol_of_the_page_about_nav2_goes_to_its_dock_when_the_battery_is_low(tmp_path: Path) -> None:
+    files = {name: written(tmp_path / name, body) for name, body in files_of(text("guides/nav2.md")).items()}
+    low = files["patrol-problem.pddl"].read_text().replace("(:init (docked))", "(:init (low))")
+    problem = load(files["patrol-domain.pddl"], written(tmp_path / "low.pddl", low))
+    bindings = read_bindings(files["patrol-bindings.yaml"], problem.vocabulary)
+    assert {binding.type for binding in bindings.actions.values()} == {
+        f"nav2_msgs/action/{name}" for name in ("DockRobot", "UndockRobot", "FollowWaypoints")
+    }
+    (sensor,) = instances(read_sensing(files["patrol-sensing.yaml"], problem.vocabulary), {})
+    for charge, seen in ((0.2, ["low"]), (0.5, []), (0.95, ["charged"])):
+        reading = read(sensor, partial(value_in, {"percentage": charge}), {})
+        assert [name for (name, *_), value in reading.facts.items() if value is True] == seen
+    plan = solve(problem).plan
+    assert plan is not None
+    assert [step.action for step in plan.steps][:2] == ["dock_robot", "undock_robot"]
 
 
 def test_every_command_has_its_help() -> None:
