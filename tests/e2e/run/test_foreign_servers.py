@@ -57,3 +57,5 @@ def test_the_first_files_for_them_pass_the_check_and_reach_their_goal(world, tmp
     ends(0, "check", *files)
     ends(0, "run", *files, "--actions", "ros2")
     assert "domain.pddl" in ends(2, "init", str(folder)).err[-1]
+    if command != "planner_bridge":
+        assert "pnm_interfaces/msg/Question is not installed" in ends(2, "serve", *files[:2], "--journal", "none").err[-1]
