@@ -60,20 +60,21 @@ class Metrics:
     def text(self) -> str:
         """Return the numbers as Prometheus reads them; raise a `PnmError` if the journal is not read or replayed."""
         with self._lock:
-            self._reader.now(self._count)
+            self._reader.now(self.tell)
             return self._written(self.registry).decode()
 
     def close(self) -> None:
         """Read no more."""
         self._reader.close()
 
-    def _count(self, story: Spans) -> None:
+    def tell(self, story: Spans) -> None:
+        """Have the numbers be those of a story."""
         if story is not self._counted:
             self._counted, self._names = story, {}
             for one in (self._over, self._plans, self._failures, self._calls, self._attempts, self._durations):
                 one.clear()
         for span in story.ended():
-            self._count_span(span)
+            self.count(span)
         states = Counter(task.state for task in story.tasks.values() if task.ending is None)
         for state in TaskState:
             if state is not TaskState.OVER:
@@ -86,7 +87,8 @@ class Metrics:
         self._last.set(last)
         self._lag.set(last - story.number)
 
-    def _count_span(self, span: Span) -> None:
+    def count(self, span: Span) -> None:
+        """Count a span that has ended."""
         told = span.attributes
         for event in span.events:
             if event.name == "failure":

@@ -37,7 +37,9 @@ _TYPES: Final = {
 """The topics under ``/pnm``, and their types, whose definitions are in the file: nobody has to have them."""
 
 
-class _Message(NamedTuple):
+class Message(NamedTuple):
+    """A message of the recording: its topic under ``/pnm``, its time of day in seconds, and its fields."""
+
     topic: str
     time: float
     fields: dict[str, Any]
@@ -58,7 +60,7 @@ def record(place: Place, output: BinaryIO) -> str:
     types = {topic: writer.register_msgdef(*written) for topic, written in _TYPES.items()}
     tasks, robots = dict[str, None](), dict[str, None]()
     with closing(KeptJournal(place)) as kept:
-        for number, message in enumerate(_messages(kept)):
+        for number, message in enumerate(messages(kept)):
             nanoseconds = int(message.time * 1e9)
             writer.write_message(f"/pnm/{message.topic}", types[message.topic], message.fields, nanoseconds, nanoseconds, number)
             if message.topic == "tasks":
@@ -66,10 +68,10 @@ def record(place: Place, output: BinaryIO) -> str:
             elif message.topic == "requests":
                 robots[message.fields["robot"]] = None
     writer.finish()  # type: ignore[no-untyped-call]
-    return json.dumps(_layout([*tasks][:_SHOWN], [*robots][:_SHOWN]), indent=2) + "\n"
+    return json.dumps(layout([*tasks][:_SHOWN], [*robots][:_SHOWN]), indent=2) + "\n"
 
 
-def _messages(kept: KeptJournal) -> Iterator[_Message]:
+def messages(kept: KeptJournal) -> Iterator[Message]:
     """Yield what each record of a journal says, in the order of its records."""
     story, states, requests = Spans.of(kept, 0), dict[str, tuple[str, str]](), dict[str, tuple[str, str]]()
     for step in steps_after(kept, TASKS, story.apply, 0):
@@ -78,7 +80,7 @@ def _messages(kept: KeptJournal) -> Iterator[_Message]:
         of = step.record.run if isinstance(step.record, records.Happened | records.RunMade) else None
         name = story.runs[of].made.name if of in story.runs else "pnm"
         text = _text("; ".join(map(str.strip, told["lines"])))
-        yield _Message(
+        yield Message(
             "log",
             time,
             {
@@ -95,7 +97,7 @@ def _messages(kept: KeptJournal) -> Iterator[_Message]:
             id, state = str(task.accepted.wanted.id), (task.ending.code.word if task.ending else task.state.word, task.reason)
             if states.get(id) != state:
                 states[id] = state
-                yield _Message("tasks", time, {"id": id, "goal": _text(task.name), "state": state[0], "reason": _text(state[1])})
+                yield Message("tasks", time, {"id": id, "goal": _text(task.name), "state": state[0], "reason": _text(state[1])})
         for request, attempt in story.attempts.items():
             outcome, run = attempt.outcome, story.runs.get(attempt.sender)
             is_here = outcome is None or outcome.kind is not OutcomeKind.SUCCEEDED
@@ -104,7 +106,7 @@ def _messages(kept: KeptJournal) -> Iterator[_Message]:
             if run is None or requests.get(id := str(request)) == now:
                 continue
             requests[id] = now
-            yield _Message(
+            yield Message(
                 "requests",
                 time,
                 {
@@ -124,7 +126,7 @@ def _text(text: str) -> str:
     return printable(text)[:LONG]
 
 
-def _layout(tasks: list[str], robots: list[str]) -> dict[str, Any]:
+def layout(tasks: list[str], robots: list[str]) -> dict[str, Any]:
     """Return a layout of Foxglove: states of tasks and requests of robots above, records in words and the last request below."""
 
     def states(paths: list[tuple[str, str]]) -> dict[str, Any]:

@@ -152,13 +152,18 @@ class Spans(Story):
             wanted, ending = task.accepted.wanted, task.ending
             told = {"id": str(wanted.id), "goal": task.name, "state": task.state.word, "priority": wanted.priority}
             told |= {"code": ending.code.word, "reason": ending.message} if ending else {}
-            events = [*self._notes.get(wanted.id, ()), *(self._replan(run) for run in task.own_runs if run.replan)]
+            events = list(self._notes.get(wanted.id, ()))
+            for run in task.own_runs:
+                if (new := run.replan) is not None:
+                    counts = {"pnm.kept": len(new.kept), "pnm.dropped": len(new.dropped), "pnm.added": len(new.added)}
+                    events.append(SpanEvent("replan", run.time, {"pnm.why": _short(new.why), **counts}))
             failed = f"{ending.code.word}: {ending.message}" if ending and ending.code is not Code.GOAL_REACHED else ""
             yield self._span("task", task, _id(wanted.id), None, task.name, task.accepted.wall, self.wall(task.ended), told, events, failed)
             for number, run in enumerate(task.runs, 1):
-                yield from self._of_run(task, run, number)
+                yield from self.plan_spans(task, run, number)
 
-    def _of_run(self, task: TaskHistory, run: RunHistory, number: int) -> Iterator[Span]:
+    def plan_spans(self, task: TaskHistory, run: RunHistory, number: int) -> Iterator[Span]:
+        """Yield the span of a run, whose number in its task is given, and those of its calls."""
         above = _id(task.accepted.wanted.id) if run.made.caller is None else _id(run.made.caller)
         elsewhere = [trouble for trouble in run.troubles.values() if trouble.step.index not in run.sent]
         events = [*self._notes.get(run.id, ()), *map(self._trouble, elsewhere)]
@@ -174,9 +179,9 @@ class Spans(Story):
                     rounds.append([])
                 rounds[-1].append((request, attempt))
             for number, attempts in enumerate(rounds):
-                yield from self._of_call(task, run, index, number, attempts, is_last=number + 1 == len(rounds))
+                yield from self.call_spans(task, run, index, number, attempts, is_last=number + 1 == len(rounds))
 
-    def _of_call(
+    def call_spans(
         self, task: TaskHistory, run: RunHistory, index: int, number: int, attempts: Sequence[tuple[UUID, Attempt]], *, is_last: bool
     ) -> Iterator[Span]:
         """Yield the span of a call, and of its attempts, in one of the rounds of a loop."""
@@ -233,6 +238,12 @@ class Spans(Story):
         end = None if ended is None else max(began, ended)
         return Span(kind, task.accepted.wanted.id, id, parent, _short(name), began, end, attributes, walls, _short(failed))
 
+    def so_far(self, span: Span) -> Span:
+        """Return a span as if it ended with the journal, if it goes on."""
+        if span.ended is not None:
+            return span
+        return replace(span, ended=max(span.began, self.wall(self.time) or 0.0), attributes={**span.attributes, "pnm.goes_on": True})
+
     def wall(self, time: float | None) -> float | None:
         """Return the time of day of a time on the clock of the journal: at the moment of a take-over that before it."""
         return None if time is None else time + self._clocks[max(0, bisect_left(self._clocks, (time,)) - 1)][1]
@@ -240,11 +251,6 @@ class Spans(Story):
     def _note(self, of: UUID, name: str, time: float, **told: str) -> None:
         attributes = {f"pnm.{key}": _short(text) for key, text in told.items() if text}
         self._notes.setdefault(of, []).append(SpanEvent(name, max(self.time, time), attributes))
-
-    def _replan(self, run: RunHistory) -> SpanEvent:
-        assert run.replan is not None, "only runs that follow others have one"
-        counts = {"kept": len(run.replan.kept), "dropped": len(run.replan.dropped), "added": len(run.replan.added)}
-        return SpanEvent("replan", run.time, {"pnm.why": _short(run.replan.why), **{f"pnm.{key}": count for key, count in counts.items()}})
 
     def _trouble(self, trouble: Trouble) -> SpanEvent:
         told = {"cause": trouble.cause.cause.value, "expected": trouble.cause.expected, "observed": trouble.cause.observed}
@@ -333,7 +339,7 @@ def export(place: Place, send: Send, *, follows: bool, pause: Callable[[float], 
     count, waiting = 0, list[Span]()
     with closing(Reader(place, tells=Spans)) as reader:
         while True:
-            waiting += reader.now(Spans.ended if follows else lambda story: [_so_far(span, story) for span in story.spans()])
+            waiting += reader.now(Spans.ended if follows else lambda story: [story.so_far(span) for span in story.spans()])
             while waiting:
                 spans = list(map(readable, waiting[:_BATCH]))
                 for tried in range(1, _TRIES + 1):
@@ -347,13 +353,6 @@ def export(place: Place, send: Send, *, follows: bool, pause: Callable[[float], 
             if not follows:
                 return count
             pause(_PERIOD)
-
-
-def _so_far(span: Span, story: Spans) -> Span:
-    """Return a span as if it ended with the journal, if it goes on."""
-    if span.ended is not None:
-        return span
-    return replace(span, ended=max(span.began, story.wall(story.time) or 0.0), attributes={**span.attributes, "pnm.goes_on": True})
 
 
 def readable(span: Span) -> ReadableSpan:
