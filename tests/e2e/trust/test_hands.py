@@ -7,12 +7,12 @@ from typing import Any
 
 import pytest
 
-from tests.e2e.trust.interventions import campaign
 from tests.support.e2e.command_line import pnm, result
 from tests.support.e2e.deployment import ProblemDeployment, SimulationProgram
 from tests.support.e2e.plan_deployment import PlanDeployment, Serving
 from tests.support.e2e.task_node import DOMAIN, PROBLEM
 from tests.support.processes import Program, until
+from tests.support.tasks.kills.interventions import campaign
 
 
 def words(*arguments: str) -> tuple[int, str]:

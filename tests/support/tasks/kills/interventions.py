@@ -1,6 +1,6 @@
 """Robots that people take over and give back at random moments while goals are pursued over ROS 2, judged by the robots' own log.
 
-usage: python -m tests.e2e.trust.interventions [--interventions 20] [--first 0] [--kills 1]
+usage: python -m tests.support.tasks.kills.interventions [--interventions 20] [--first 0] [--kills 1]
 
 The seed draws which robot, after which commands of the robots, and for how long, told by what others do meanwhile; so many times the
 node is killed by SIGKILL while somebody has a robot, and started again. The exit status is 1 if anything is wrong.
@@ -141,7 +141,9 @@ def campaign(deployment: ProblemDeployment, seed: int, interventions: int, kills
 
 def main() -> int:
     """Return 1 if anything was wrong."""
-    parser = argparse.ArgumentParser(prog="python -m tests.e2e.trust.interventions", description=(__doc__ or "").partition("\n")[0])
+    parser = argparse.ArgumentParser(
+        prog="python -m tests.support.tasks.kills.interventions", description=(__doc__ or "").partition("\n")[0]
+    )
     parser.add_argument("--interventions", type=int, default=20, help="how often a robot is taken over and given back")
     parser.add_argument("--first", type=int, default=0, help="the seed")
     parser.add_argument("--kills", type=int, default=1, help="how often the node is killed meanwhile")
