@@ -179,10 +179,10 @@ def plan(
 @click.option(
     "--format",
     "written_as",
-    type=click.Choice(["json", "dot", "svg"]),
+    type=click.Choice(["json", "pnml", "dot", "svg"]),
     default="json",
     show_default=True,
-    help="json has everything; dot and svg are pictures",
+    help="json has everything; pnml is for other tools for Petri nets; dot and svg are pictures",
 )
 @click.option("--level", type=click.Choice(["calls", "net"]), help="of a picture: calls and their orderings (default), or the whole net")
 @options.output_options
@@ -216,12 +216,15 @@ def net(
     from planner_bridge.ordering.plan_to_graph import plan_graph
     from pnm.core.machine.generate import generate
     from pnm.core.machine.verification.verify import verify
-    from pnm.core.pictures.export import to_dot, to_json
+    from pnm.core.pictures.export import as_data, to_dot, to_json
     from pnm.core.pictures.net_picture import net_svg
     from pnm.core.pictures.plan_picture import plan_dot, plan_svg
+    from pnm.core.pictures.pnml import LOST, to_pnml
 
-    if written_as == "json" and level == "calls":
-        raise InputError("--format json has the whole net and its calls; expected --format dot or svg with --level calls")
+    if written_as in ("json", "pnml") and level == "calls":
+        raise InputError(f"--format {written_as} has the whole net; expected --format dot or svg with --level calls")
+    if written_as == "pnml":
+        print(f"note     {LOST}", file=sys.stderr)
     chosen = options.chosen_files(domain, problem, plan_file)
     if isinstance(chosen, Path):
         from pnm.actions.bindings_file import read_bindings
@@ -246,6 +249,8 @@ def net(
             match written_as, level:
                 case "json", _:
                     text = whole.as_json()
+                case "pnml", _:
+                    text = to_pnml(whole.as_data())
                 case "svg", _:
                     text = steps_svg(whole.steps, policy.claim)
                 case _:
@@ -258,6 +263,8 @@ def net(
     match written_as, level:
         case "json", _:
             text = to_json(machine)
+        case "pnml", _:
+            text = to_pnml(as_data(machine))
         case "dot", "net":
             text = to_dot(machine)
         case "svg", "net":

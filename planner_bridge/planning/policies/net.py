@@ -17,7 +17,7 @@ from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import chain
-from typing import Final, NamedTuple, TypeAlias
+from typing import Any, Final, NamedTuple, TypeAlias
 
 from planner_bridge.planning.policies.policy import Policy
 from planner_bridge.planning.policies.steps import GOAL, MOST, NO_WAY_OUT, Step
@@ -28,7 +28,7 @@ from pnm.core.machine.verification.explore import explore_part
 from pnm.core.machine.verification.part import Count, Inside, Left, Part, PartStep, Unsound
 from pnm.core.net.net import Marking, NetBuilder, PetriNet
 from pnm.core.pictures.export import COLOURS, quoted
-from pnm.core.pictures.svg import cut, picture, xml
+from pnm.core.pictures.xml_text import cut, picture, xml
 from pnm.errors import InputError, counted
 
 FAILURE: Final = -2
@@ -159,10 +159,10 @@ class PolicyNet:
             return f"not proved: {reason}"
         return "proved: whatever the outcomes, it ends in the goal, in a failure, or without a way out"
 
-    def as_json(self) -> str:
-        """Return the net as one JSON object, with the keys that those of machines have."""
+    def as_data(self) -> dict[str, Any]:
+        """Return the net as plain data, with the keys that those of machines have."""
         distances, tokens = self.distances([GOAL]), self.initial
-        data = {
+        return {
             "steps": [step.as_json() | {"distance": distances.get(step.number)} for step in self.steps],
             "places": [{"name": place, "role": _ROLES.get(place, ""), "tokens": tokens[place]} for place in self.net.places],
             "transitions": [
@@ -173,7 +173,10 @@ class PolicyNet:
             "goal_places": [self.places[GOAL]],
             "claim": self.claim,
         }
-        return json.dumps(data, indent=1, ensure_ascii=False) + "\n"
+
+    def as_json(self) -> str:
+        """Return the net as one JSON object."""
+        return json.dumps(self.as_data(), indent=1, ensure_ascii=False) + "\n"
 
     def dot(self) -> str:
         """Return the picture for Graphviz: places round, transitions square."""

@@ -17,7 +17,7 @@ from pnm.core.machine.machine import PetriNetMachine
 from pnm.core.machine.plan_graph import Flow
 from pnm.core.pictures.export import COLOURS, guard_data
 from pnm.core.pictures.plan_picture import facts_of, held, laid_out, numbers
-from pnm.core.pictures.svg import cut, picture, xml
+from pnm.core.pictures.xml_text import cut, picture, xml
 from pnm.errors import counted
 
 # --- where places and transitions stand -----------------------------------------------------

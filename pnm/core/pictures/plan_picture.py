@@ -18,7 +18,7 @@ from typing import Final, NamedTuple
 from pnm.core.logic.expressions import Fluent, fluent_text
 from pnm.core.machine.plan_graph import ActionCall, Flow, Moment, PlanGraph, Step, WaitUntil, every_step, flows, in_order
 from pnm.core.pictures.export import quoted
-from pnm.core.pictures.svg import cut, picture, xml
+from pnm.core.pictures.xml_text import cut, picture, xml
 from pnm.errors import counted
 
 # --- where each step stands -----------------------------------------------------------------

@@ -13,7 +13,7 @@ from statistics import median
 from typing import Final
 
 from pnm.core.machine.requests import OutcomeKind
-from pnm.core.pictures.svg import cut, picture, xml
+from pnm.core.pictures.xml_text import cut, picture, xml
 
 
 @dataclass(frozen=True, slots=True)

@@ -20,7 +20,7 @@ from planner_bridge.cli.running_node import EventPrinter, TaskBoard
 from planner_bridge.view.app import shown_json
 from planner_bridge.view.follow import Reader
 from pnm.core.pictures.export import quoted
-from pnm.core.pictures.svg import picture, xml
+from pnm.core.pictures.xml_text import picture, xml
 from pnm.errors import printable, printable_lines
 from pnm.tasks import TraceEvent, TraceKind
 from tests.support.e2e.command_line import Done, pnm

@@ -1,0 +1,109 @@
+"""XML: the frame of every picture, an SVG text with a white ground, so that it can be read on dark pages as well; and the reader of files.
+
+Files come from anywhere: a document type, and with it every entity, is refused, and so is what is nested too deeply.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, field
+from html import escape
+from typing import Final
+from xml.parsers import expat
+
+from pnm.errors import InputError, Position, printable_lines
+
+_FRAME: Final = ".tip{fill:#78909c;stroke:none}.paper{fill:#fff;stroke:none}"
+
+
+def xml(text: str) -> str:
+    """Return a text as it stands in a picture: without what XML forbids, and with its marks written out."""
+    return escape(printable_lines(text))
+
+
+def cut(text: str, letters: int) -> str:
+    """Return a text that has so many letters at most."""
+    return text if len(text) <= letters else f"{text[: letters - 1]}…"
+
+
+def picture(kind: str, title: str, style: str, width: float, height: float, parts: Iterable[str]) -> str:
+    """Return the text of a picture of a kind, such as ``plan``, whose size is in pixels.
+
+    The style is CSS for pictures of its kind alone: a notebook may have several on one page. It is empty if the page has looks for it.
+    """
+    size = f"{width:g}", f"{height:g}"
+    looks = re.sub(r"[^{},]+(?=[,{])", rf".pnm-{kind} \g<0>", style + _FRAME) if style else ""
+    lines = [
+        f'<svg xmlns="http://www.w3.org/2000/svg" class="pnm-{kind}" viewBox="0 0 {size[0]} {size[1]}" width="{size[0]}" height="{size[1]}"'
+        f' role="img"><title>{xml(title)}</title>{looks and f"<style>{looks}</style>"}',
+        '<defs><marker id="tip" viewBox="0 0 8 8" refX="8" refY="4" markerWidth="7" markerHeight="7" orient="auto">'
+        '<path class="tip" d="M0 0L8 4L0 8z"/></marker></defs>',
+        f'<rect class="paper" width="{size[0]}" height="{size[1]}"/>',
+        *parts,
+        "</svg>",
+    ]
+    return "\n".join((*lines, ""))
+
+
+# --- reading ----------------------------------------------------------------------------------
+
+
+_DEEPEST: Final = 100
+"""Elements inside of each other, at most: readers call themselves for each level."""
+
+
+@dataclass(slots=True)
+class Element:
+    """An element of a file. Text and contents grow only while it is read."""
+
+    tag: str
+    """Without its namespace."""
+    namespace: str
+    attributes: Mapping[str, str]
+    position: Position
+    text: str = ""
+    """Its own, without that of its contents."""
+    contents: list[Element] = field(default_factory=list)
+
+    def all(self, tag: str) -> Iterator[Element]:
+        """Yield the elements directly inside of it that have a tag."""
+        return (one for one in self.contents if one.tag == tag)
+
+    def of(self, name: str) -> str:
+        """Return an attribute; raise `InputError` if it is missing."""
+        if name not in self.attributes:
+            raise InputError(f"<{self.tag}> lacks its attribute {name!r}", self.position)
+        return self.attributes[name]
+
+
+def read_xml(text: str, file: str) -> Element:
+    """Return the outermost element of a text; raise `InputError` if it is not well-formed, or has a document type."""
+    parser, path, root = expat.ParserCreate(namespace_separator=" "), list[Element](), list[Element]()
+
+    def here() -> Position:
+        return Position(file, parser.CurrentLineNumber, parser.CurrentColumnNumber + 1)
+
+    def begin(tag: str, attributes: dict[str, str]) -> None:
+        namespace, _, name = tag.rpartition(" ")
+        element = Element(name, namespace, attributes, here())
+        if len(path) >= _DEEPEST:
+            raise InputError(f"<{name}> is nested too deeply; expected {_DEEPEST} levels at most", element.position)
+        (path[-1].contents if path else root).append(element)
+        path.append(element)
+
+    def add(letters: str) -> None:
+        path[-1].text += letters
+
+    def refuse(*_: object) -> None:
+        raise InputError("expected no document type: entities and other files are not read", here())
+
+    parser.buffer_text = True
+    parser.StartElementHandler, parser.EndElementHandler = begin, lambda _: path.pop()
+    parser.CharacterDataHandler, parser.StartDoctypeDeclHandler = add, refuse
+    try:
+        parser.Parse(text, True)
+    except expat.ExpatError as error:
+        position = Position(file, error.lineno, error.offset + 1)
+        raise InputError(f"not XML: {expat.ErrorString(error.code)}", position) from error
+    return root[0]
