@@ -3,7 +3,7 @@
 import os
 import sys
 
-from pnm.signals import leave_at_ctrl_c
+from pnm.files.signals import leave_at_ctrl_c
 
 UNTOLD = {
     "run": '"goal_reached": false, "code": "cancelled"',

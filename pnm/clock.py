@@ -21,7 +21,7 @@ from math import inf, isfinite, ulp
 from time import monotonic
 from typing import Any, Final, TypeVar, cast
 
-from pnm.signals import StoppableWork
+from pnm.files.signals import StoppableWork
 
 T = TypeVar("T")
 

@@ -19,8 +19,8 @@ from planner_bridge.model.problem import Problem
 from planner_bridge.pipeline.loading import BINDINGS, RATES, beside, bindings_for, load, rates_for, warning_lines
 from pnm.errors import InputError, PnmError, Tolerated
 from pnm.files.database.place import place_of
+from pnm.files.signals import CANCELLED, LAST_WORDS, LEAVING, interruptible, leave_within
 from pnm.files.text import secret_in, write_private
-from pnm.signals import CANCELLED, LAST_WORDS, LEAVING, interruptible, leave_within
 
 if TYPE_CHECKING:
     from rich.console import Console

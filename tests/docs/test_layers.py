@@ -29,6 +29,8 @@ ONLY = {
     "opentelemetry": "planner_bridge/view/",
     "prometheus_client": "planner_bridge/view/",
     "mcap_ros2": "planner_bridge/view/",
+    "networkx": "pnm/analysis.py",
+    "numpy": "pnm/analysis.py",
 }
 
 

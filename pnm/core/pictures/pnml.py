@@ -39,8 +39,8 @@ def to_pnml(data: Mapping[str, Any]) -> str:
     ids = {place["name"]: f"p{number}" for number, place in enumerate(data["places"])}
     for place in data["places"]:
         tokens = f"<initialMarking><text>{place['tokens']}</text></initialMarking>" if place["tokens"] else ""
-        about = _own("about", {"role": place["role"]}) if place["role"] else ""
-        lines.append(f'<place id="{ids[place["name"]]}">{_name(place["name"])}{tokens}{about}</place>')
+        role = _own("about", {"role": place["role"]}) if place["role"] else ""
+        lines.append(f'<place id="{ids[place["name"]]}">{_name(place["name"])}{tokens}{role}</place>')
     for number, transition in enumerate(data["transitions"]):
         name, about = transition["name"], {key: value for key, value in transition.items() if key != "name"}
         ids[name] = f"t{number}"

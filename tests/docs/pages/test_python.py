@@ -20,6 +20,7 @@ PRINTED = [
     ["PAUSED", "cancelled"],
     ["7 arrows", "digraph plan {", "127 places"],
     ["r1 load(r1, parcel2, store) 0.0 [0.0]", "8 bars of what was done"],
+    ["(127, 345) begin", "begin < load(r1, parcel2, store)#0\n", "load → move"],
     ["switches switch_on ('hall',)", "True 2"],
     ["plan of", "attempt 1"],
 ]

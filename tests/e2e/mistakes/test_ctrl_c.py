@@ -109,7 +109,7 @@ def test_a_second_signal_ends_a_run_that_hangs_and_its_json_is_there() -> None:
     hanging = """
 import threading
 from planner_bridge.__main__ import main
-from pnm import signals
+from pnm.files import signals
 from pnm.actions.simulated_robots import SimulatedRobots
 
 def send(self, request, report):

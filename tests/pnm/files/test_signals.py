@@ -10,9 +10,9 @@ from itertools import count
 
 import pytest
 
-from pnm import signals
 from pnm.clock import FollowingLoop, run_async
-from pnm.signals import CANCELLED
+from pnm.files import signals
+from pnm.files.signals import CANCELLED
 from tests.support.processes import Program
 
 
@@ -104,7 +104,7 @@ def test_a_process_that_is_no_program_of_ours_leaves_when_its_own_program_does(m
 
 BEGINNING = """
 import asyncio, threading
-from pnm import signals
+from pnm.files import signals
 from pnm.clock import run_async
 
 signals._ONE_REQUEST = 0.0
