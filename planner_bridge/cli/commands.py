@@ -5,11 +5,12 @@ Commands import what they need in their functions, so that each starts as fast a
 
 from __future__ import annotations
 
+import json
 import logging
 import sys
 from importlib import import_module
 from pathlib import Path
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import click
 
@@ -20,6 +21,9 @@ from pnm.errors import InputError
 from pnm.files.database.place import without_password
 from pnm.files.process import make_streams_safe, own_standard_output
 from pnm.files.text import hide_arguments
+
+if TYPE_CHECKING:
+    from pnm.core.machine.machine import PetriNetMachine
 
 ELSEWHERE: Final = {
     "answer": ("running_node", "Answer a question that a task asks a person."),
@@ -187,6 +191,11 @@ def plan(
 @click.option("--level", type=click.Choice(["calls", "net"]), help="of a picture: calls and their orderings (default), or the whole net")
 @options.output_options
 @click.option("-v", "--verbose", is_flag=True, help="list the transitions that can never fire, with the reason")
+@click.option(
+    "--certificate",
+    type=options.FILE,
+    help="a new file from which the proof can be made again; prints the command that does it, without this project",
+)
 @options.bindings_option
 @options.rates_option
 @options.planning
@@ -202,6 +211,7 @@ def net(
     output: Path | None,
     force: bool,
     verbose: bool,
+    certificate: Path | None,
     bindings: Path | None,
     rates: Path | None,
     planner: str,
@@ -225,6 +235,8 @@ def net(
         raise InputError(f"--format {written_as} has the whole net; expected --format dot or svg with --level calls")
     if written_as == "pnml":
         print(f"note     {LOST}", file=sys.stderr)
+    if certificate:
+        options.check_output(certificate, force=force)
     chosen = options.chosen_files(domain, problem, plan_file)
     if isinstance(chosen, Path):
         from pnm.actions.bindings_file import read_bindings
@@ -245,6 +257,8 @@ def net(
         if policy := options.policy_of(result):
             from planner_bridge.planning.policies.net import PolicyNet, steps_dot, steps_svg
 
+            if certificate:
+                raise InputError("the plan is a policy, for whose net there is no certificate; expected actions with one outcome each")
             whole = PolicyNet(policy.steps())
             match written_as, level:
                 case "json", _:
@@ -272,9 +286,29 @@ def net(
         case _:
             text = plan_svg(machine.plan) if written_as == "svg" else plan_dot(machine.plan)
     options.write(output, text, force=force)
+    if certificate:
+        from pnm.files import check_certificate
+
+        options.write_files({certificate: certificate_text(machine)}, force=force)
+        print(f"check it with: python3 {check_certificate.__file__} {certificate}", file=sys.stderr)
     never = f"{len(proof.never)} of {len(machine.net.transitions)} transitions can never fire"
     print(f"proved {proof}; {never}{'' if verbose else ', -v lists them'}", *(proof.never if verbose else ()), sep="\n", file=sys.stderr)
     return 0
+
+
+def certificate_text(machine: PetriNetMachine) -> str:
+    """Return a certificate of the proof of a machine, as JSON."""
+    from importlib.metadata import version
+
+    from pnm.core.pictures.export import certified
+    from pnm.files import check_certificate
+
+    words = (check_certificate.__doc__ or "").partition(":\n- ")[2].partition(".\n")[0]
+    made_by = {"petri-net-machines": version("petri-net-machines"), "python": sys.version.split()[0]}
+    data = {"format": check_certificate.FORMAT, "made_by": made_by, "property": words.split(";\n- "), **certified(machine)}
+    text = json.dumps({**data, "hash": check_certificate.hash_of(data)}, indent=1) + "\n"
+    check_certificate.check(text)  # so that nobody gets one that is of no use
+    return text
 
 
 @app.command(epilog="Example: pnm simulate domain.pddl problem.pddl --faults faults.yaml")

@@ -15,7 +15,7 @@ from typing import Any
 
 from pnm.core.machine.guards import Guard
 from pnm.core.machine.machine import PetriNetMachine
-from pnm.core.machine.plan_graph import ActionCall, Step, flows
+from pnm.core.machine.plan_graph import ActionCall, PlanEvent, Step, flows
 from pnm.errors import printable_lines
 
 COLOURS = {
@@ -117,6 +117,41 @@ def as_data(machine: PetriNetMachine) -> dict[str, Any]:
         ],
         "arcs": [{"source": arc.source, "target": arc.target, "weight": arc.weight} for arc in machine.net.arcs],
         "goal_places": sorted(machine.goal_places),
+    }
+
+
+def certified(machine: PetriNetMachine) -> dict[str, Any]:
+    """Return all that the proof of a machine is about, as `check_certificate.py` proves it again from this alone."""
+    data, kept = as_data(machine), {ordering: place for place, ordering in machine.orderings.items()}
+    for place in data["places"]:
+        place["role"] = "failure mark" if place["name"] in machine.failure_places else place["role"]
+    for transition in data["transitions"]:
+        transition["gives_up"] = machine.rules[transition["name"]].gives_up
+    every_flow = (machine.plan.flow, *(flow for step in machine.plan.every_step for flow in flows(step)))
+    orderings = [one for flow in every_flow for one in flow.orderings]
+
+    def event(of: PlanEvent) -> list[object]:
+        return [of.call, of.moment.value]
+
+    return {
+        "steps": [{"number": step.index, "name": str(step)} for step in machine.plan.every_step],
+        "orderings": [
+            {
+                "before": event(one.before),
+                "after": event(one.after),
+                "protects": [" ".join(fluent) for fluent in one.protects],
+                "delay": one.delay,
+                "place": kept.get(one),
+            }
+            for one in orderings
+        ],
+        "goal": str(machine.plan.goal),
+        "goal_place": machine.goal_place,
+        "failed_place": machine.failed_place,
+        "regions": [
+            {"owner": one.owner, "steps": sorted(one.steps), "first": [*one.first], "last": [*one.last]} for one in machine.regions
+        ],
+        **{key: data[key] for key in ("calls", "places", "transitions", "arcs")},
     }
 
 

@@ -1,0 +1,139 @@
+"""Certificates: proved again from the file alone; what was changed is noticed, by its hash, and by the proof if that was made anew."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from collections import Counter
+from pathlib import Path
+from random import Random
+from typing import Any
+
+from hypothesis import given, settings
+from hypothesis.strategies import integers
+
+from planner_bridge.cli.commands import certificate_text
+from pnm.core.machine.machine import PetriNetMachine
+from pnm.core.pictures.export import certified
+from pnm.files import check_certificate
+from pnm.files.check_certificate import Refused, check, hash_of
+from tests.support.runs.mutation.edits import mutant
+from tests.support.runs.mutation.gate import is_proved
+from tests.support.runs.mutation.machines import random_machine
+
+
+def with_hash(data: dict[str, Any]) -> str:
+    """The text of a certificate whose hash is that of its contents."""
+    return json.dumps({**data, "hash": hash_of(data)}, indent=1) + "\n"
+
+
+def holds(text: str) -> bool:
+    try:
+        check(text)
+    except Refused:
+        return False
+    return True
+
+
+@settings(deadline=None, max_examples=40)
+@given(integers(0, 10**6))
+def test_every_proved_machine_has_a_certificate_that_is_proved_again(number: int) -> None:
+    assert check(certificate_text(random_machine(number, under_way=number % 5 == 0)))
+
+
+def test_the_checker_is_a_program_of_its_own(tmp_path: Path) -> None:
+    source = Path(check_certificate.__file__).read_text(encoding="utf-8")
+    assert len(source.splitlines()) <= 300
+    program, file = tmp_path / "check.py", tmp_path / "machine.certificate"
+    program.write_text(source, encoding="utf-8")
+    text = certificate_text(random_machine(7))
+    for contents, status in ((text, 0), (text.replace('"tokens": 1', '"tokens": 2', 1), 1), ("{}", 1), ("[" * 99_999, 1)):
+        file.write_text(contents, encoding="utf-8")
+        done = subprocess.run([sys.executable, "-I", "-S", str(program), str(file)], capture_output=True, text=True, cwd=tmp_path)
+        assert done.returncode == status, done.stderr
+        assert (done.stdout if status == 0 else done.stderr).startswith("proved again: " if status == 0 else "not proved: ")
+
+
+def test_every_edit_of_the_text_is_noticed() -> None:
+    text = certificate_text(random_machine(20))
+    for seed in range(250):
+        random, letters = Random(seed), [*text]
+        place = random.randrange(len(letters))
+        match random.randrange(4):
+            case 0:
+                del letters[place]
+            case 1:
+                letters.insert(place, random.choice(' \n\r0"a,}'))
+            case 2:
+                letters[place] = random.choice([one for one in '01 a"' if one != letters[place]])
+            case _:
+                other = random.choice([at for at, letter in enumerate(letters) if letter != letters[place]])
+                letters[place], letters[other] = letters[other], letters[place]
+        assert not holds("".join(letters)), f"seed {seed}"
+
+
+def broken(data: dict[str, Any], random: Random) -> str:
+    """Change a certificate so that its net is none that could be proved; return what was done."""
+    arcs, transitions = data["arcs"], data["transitions"]
+    match random.randrange(8):
+        case 0:
+            arc = random.choice(arcs)
+            arc["weight"] += 1
+            return f"{arc} weighs more"
+        case 1:
+            roles = {one["name"]: one["role"] for one in data["places"]}  # that failures are marked, and tries counted, is not looked at
+            arc = random.choice(
+                [one for one in arcs if not {"failure mark", "budget"} & {roles.get(one[end]) for end in ("source", "target")}]
+            )
+            arcs.remove(arc)
+            return f"{arc} is lost"
+        case 2:
+            place = random.choice([one for one in data["places"] if one["role"] not in ("budget", "resource")])
+            place["tokens"] += 1
+            return f"{place} has one more token"
+        case 3:
+            ordering = random.choice(data["orderings"] or [{"before": [0, "start"], "after": [0, "end"]}])
+            data["orderings"].append({**ordering, "before": ordering["after"], "after": ordering["before"], "place": None})
+            return f"{ordering} is asked for the other way round, too"
+        case 4:
+            transition = random.choice([one for one in transitions if one["action"] == "SEND"])
+            transition["action"] = None
+            return f"{transition['name']} no longer sends"
+        case 5:
+            data["goal_place"], data["failed_place"] = data["failed_place"], data["goal_place"]
+            return "goal and failed are swapped"
+        case 6:
+            data["goal"] = "another goal"
+            return "the goal is another one"
+        case _:
+            step = random.choice(data["steps"])
+            data["steps"].remove(step)
+            return f"{step} is left out"
+
+
+def test_a_broken_net_is_noticed_although_its_hash_is_right() -> None:
+    for seed in range(250):
+        random = Random(seed)
+        data = {"format": 1, **certified(random_machine(random.randrange(40)))}
+        done = broken(data, random)
+        assert not holds(with_hash(data)), f"seed {seed}: {done}"
+
+
+def of_mutant(machine: PetriNetMachine) -> str:
+    try:
+        return with_hash({"format": 1, **certified(machine)})
+    except KeyError:  # it cannot be written
+        return ""
+
+
+def test_of_mutants_that_the_proof_refutes_most_are_refuted_from_their_certificates_and_no_others() -> None:
+    verdicts = Counter[tuple[bool, bool]]()
+    for number in range(24):
+        random = Random(number)
+        for _ in range(3):
+            name, changed = mutant(random_machine(number), random)
+            proved, found = is_proved(changed), holds(of_mutant(changed))
+            assert found or not proved, f"machine {number}, {name}: proved, and its certificate is refused"
+            verdicts[proved, found] += 1
+    assert verdicts[False, False] > 4 * verdicts[False, True]
