@@ -23,8 +23,9 @@ from planner_bridge.cli.console import SafeConsole
 from planner_bridge.cli.options import command
 from planner_bridge.node.node_journal import latest_journal
 from planner_bridge.tasks.result import TASKS
-from planner_bridge.view.story import timelines_svg
+from planner_bridge.view.story import timelines, timelines_svg
 from pnm.core.knowledge_base import statement_text
+from pnm.core.pictures.timeline import timelines_xes
 from pnm.errors import InputError, counted, printable
 from pnm.files.database.place import Place, place_of, without_password
 from pnm.journal.codec import Undecodable
@@ -97,13 +98,31 @@ def replay(journal: str | None, last: int | None, as_json: bool, timeline: Path 
 @click.command(epilog="Example: pnm history tasks.journal")
 @journal_argument
 @click.option("--json", "as_json", is_flag=True, help="print only one JSON object per task")
+@click.option(
+    "--format",
+    "written_as",
+    type=click.Choice(["text", "xes"]),
+    default="text",
+    show_default=True,
+    help="xes is for process mining: a trace for each task, with starts and ends of requests",
+)
+@options.output_options
 @command
-def history(journal: str | None, as_json: bool) -> int:
+def history(journal: str | None, as_json: bool, written_as: str, output: Path | None, force: bool) -> int:
     """List the tasks of a journal.
 
     Each line has the time of acceptance, the goal and the end.
     The default JOURNAL is the node's journal written last on this computer.
     """
+    if as_json and written_as != "text":
+        raise InputError(f"--json lists the tasks; expected no --format {written_as} with it")
+    if output and written_as == "text":
+        raise InputError("the list goes to the terminal; expected --format xes with --output")
+    if written_as == "xes":
+        with errors_of_journals():
+            log = timelines_xes(timelines(chosen_journal(journal)))
+        options.write(output, log, force=force)
+        return 0
     with errors_of_journals():
         tasks = summaries(chosen_journal(journal), TASKS)
     console = SafeConsole()

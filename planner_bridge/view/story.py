@@ -423,7 +423,8 @@ def timelines(journal: Place | str) -> tuple[Timeline, ...]:
         began = min((task.time, *(run.time for run in task.runs)))
         words = f"{task.ending.code.word}: {task.ending.message}" if task.ending else ""
         end = history.time if task.ended is None else task.ended
-        told.append(Timeline(task.name, tuple(_timed_plan(history, run, began) for run in task.runs), end - began, words))
+        plans, accepted = tuple(_timed_plan(history, run, began) for run in task.runs), task.accepted
+        told.append(Timeline(task.name, plans, end - began, words, str(accepted.wanted.id), accepted.wall - (task.time - began)))
     return tuple(told)
 
 

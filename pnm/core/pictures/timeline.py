@@ -1,4 +1,4 @@
-"""Timeline of a task: what its plans wanted when, and what was done when, as a plain value and as its picture.
+"""Timeline of a task: what its plans wanted when, and what was done when, as a plain value, as its picture, and as a log for mining.
 
 All times are in seconds from the beginning of the task.
 """
@@ -6,8 +6,9 @@ All times are in seconds from the beginning of the task.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from datetime import UTC, datetime
 from itertools import pairwise
 from statistics import median
 from typing import Final
@@ -86,6 +87,10 @@ class Timeline:
     """The time until which it tells everything: the end, if there is one."""
     ending: str = ""
     """The end of the task, in words; empty while it goes on."""
+    id: str = ""
+    """Of the task."""
+    wall: float = 0.0
+    """The time of day of its beginning, in seconds since 1970."""
 
 
 def replan(why: str, left: Iterable[str], new: Iterable[str]) -> Replan:
@@ -93,6 +98,50 @@ def replan(why: str, left: Iterable[str], new: Iterable[str]) -> Replan:
     before, after = Counter(left), Counter(new)
     kept, dropped, added = before & after, before - after, after - before
     return Replan(why, *(tuple(part.elements()) for part in (kept, dropped, added)))
+
+
+# --- as XES -----------------------------------------------------------------------------------
+
+
+_EXTENSIONS: Final = {"Concept": "concept", "Lifecycle": "lifecycle", "Organizational": "org", "Time": "time"}
+
+
+def timelines_xes(timelines: Iterable[Timeline]) -> str:
+    """Return a log as XES (IEEE 1849): a trace for each task, whose events are starts and ends of requests, and new plans.
+
+    The times of day follow from that of the beginning and the clock of the run. Calls for which nothing was sent are not in it.
+    """
+    lines = ['<?xml version="1.0" encoding="UTF-8"?>', '<log xes.version="1849.2016" xmlns="http://www.xes-standard.org/">']
+    for name, prefix in _EXTENSIONS.items():
+        lines.append(f'<extension name="{name}" prefix="{prefix}" uri="http://www.xes-standard.org/{prefix}.xesext"/>')
+    lines.append('<classifier name="call and lifecycle" keys="concept:name lifecycle:transition"/>')
+    for timeline in timelines:
+        about = {"concept:name": timeline.id, "goal": timeline.goal, "ending": timeline.ending}
+        lines += ["<trace>", *_strings(about)]
+        for time, event in sorted(_events(timeline), key=lambda event: event[0]):
+            moment = datetime.fromtimestamp(timeline.wall + time, UTC).isoformat(timespec="milliseconds")
+            lines += ["<event>", *_strings(event), f'<date key="time:timestamp" value="{moment}"/>', "</event>"]
+        lines.append("</trace>")
+    return "\n".join((*lines, "</log>", ""))
+
+
+def _strings(values: Mapping[str, str]) -> Iterator[str]:
+    return (f'<string key="{key}" value="{xml(value)}"/>' for key, value in values.items() if value)
+
+
+def _events(timeline: Timeline) -> Iterator[tuple[float, Mapping[str, str]]]:
+    for number, plan in enumerate(timeline.plans):
+        if plan.replan:
+            yield plan.began, {"concept:name": "new plan", "lifecycle:transition": "complete", "reason": plan.replan.why}
+        for call in plan.calls:
+            about = {"concept:name": call.name, "action": call.name.partition("(")[0], "org:resource": call.lane}
+            about["concept:instance"] = f"{number}.{call.number}"
+            for attempt in call.attempts:
+                yield attempt.sent, {**about, "lifecycle:transition": "start"}
+                if attempt.ended is not None and attempt.outcome is not None:
+                    how = "complete" if attempt.outcome is OutcomeKind.SUCCEEDED else "ate_abort"
+                    result = {"outcome": attempt.outcome.value, "message": attempt.message}
+                    yield attempt.ended, {**about, "lifecycle:transition": how, **result}
 
 
 # --- as SVG ---------------------------------------------------------------------------------
