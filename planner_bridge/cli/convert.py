@@ -1,4 +1,4 @@
-"""`pnm export`, `pnm import` and `pnm schema`: PDDL as YAML and back, and what editors check YAML by."""
+"""`pnm export`, `pnm import` and `pnm schema`: PDDL and behaviour trees as YAML and back, and what editors check YAML by."""
 
 from __future__ import annotations
 
@@ -22,21 +22,32 @@ from planner_bridge.pddl.writer import write_domain as domain_text, write_proble
 from planner_bridge.pipeline.loading import bindings_for
 from planner_bridge.planning.solve import solve
 from planner_bridge.yaml.reader import CONSTRAINT_WORDS, METRIC_WORDS, PreferenceKeys, read
+from planner_bridge.yaml.trees import Tree, plan_tree, policy_tree, read_tree
 from planner_bridge.yaml.writer import plan_entries, unwritten, write_bindings, write_domain, write_problem
 from pnm.actions.bindings_file import DEFINITIONS
 from pnm.core.logic.domain import ProblemModel
 from pnm.core.machine.bindings import NO_BINDINGS, Bindings
 from pnm.core.message_fields import Combined, Test
 from pnm.errors import InputError, Tolerated, suggestion
-from pnm.files.text import read_any_text
+from pnm.files.text import read_any_text, read_text
 from pnm.files.yaml_keys import TEXT, Keys, Schema, pair, ref
 from pnm.language import grammar
 from pnm.language.formulas import readers, words
+from pnm.language.plan import chosen_plan, read_plans
 
 
 @click.command(epilog="Example: pnm export domain.pddl problem.pddl -o robots.yaml --with-plan")
 @click.argument("domain", type=options.FILE)
 @click.argument("problem", type=options.FILE, required=False)
+@click.option(
+    "--format",
+    "written_as",
+    type=click.Choice(["yaml", "btcpp"]),
+    default="yaml",
+    show_default=True,
+    help="btcpp is the plan as a behaviour tree, for BehaviorTree.CPP 4 and Groot2; DOMAIN may be a file with a hand-written plan",
+)
+@click.option("--name", help="the plan of that file, if it has several")
 @options.output_options
 @click.option("--with-plan", is_flag=True, help="also find and write a plan for the problem")
 @options.bindings_option
@@ -48,13 +59,34 @@ def export(
     problem: Path | None,
     output: Path | None,
     force: bool,
+    written_as: str,
+    name: str | None,
     with_plan: bool,
     bindings: Path | None,
     planner: str,
     planner_timeout: float,
     improve: float | None,
 ) -> int:
-    """Write a domain, a problem and a plan as YAML."""
+    """Write a domain, a problem and a plan as YAML.
+
+    With --format btcpp only the plan, as a behaviour tree. What a tree cannot say is printed.
+    """
+    is_by_hand = written_as == "btcpp" and problem is None
+    if name and not is_by_hand:
+        raise InputError("--name chooses a hand-written plan; expected --format btcpp and its file, without PROBLEM")
+    if is_by_hand:
+        plans = read_plans(domain)
+        chosen = plans[chosen_plan(plans, name)]
+        options.print_warnings(chosen.warnings)
+        return _write_tree(plan_tree(chosen.graph), output, force=force)
+    if written_as == "btcpp" and problem:
+        loaded, found, _, _ = options.planned((domain, problem), bindings, None, planner, planner_timeout, improve)
+        if found.plan is None:
+            SafeConsole(stderr=True).print_reason("no plan:", found.reason)
+            return 1
+        policy = options.policy_of(found)
+        tree = policy_tree(policy.as_json(), loaded.goal) if policy else plan_tree(plan_graph(loaded, found.plan))
+        return _write_tree(tree, output, force=force)
     bound = bindings_for(domain, bindings, None)
     with options.searching(planner, planner_timeout) if with_plan else nullcontext():
         result = exported(domain, problem, with_plan=with_plan, bindings=bound, planner=planner, timeout=planner_timeout, improve=improve)
@@ -68,19 +100,32 @@ def export(
     return 0
 
 
+def _write_tree(tree: Tree, output: Path | None, *, force: bool) -> int:
+    options.write(output, tree.text, force=force)
+    for lost in tree.lost:
+        print(f"lost     {lost}", file=sys.stderr)
+    return 0
+
+
 @click.command("import", epilog="Example: pnm import robots.yaml -o robots")
 @click.argument("file", type=options.FILE)
 @click.option(
-    "-o", "--output", type=options.FILE, required=True, help="the folder of domain.pddl, problem.pddl and bindings.yaml; created if missing"
+    "-o",
+    "--output",
+    type=options.FILE,
+    required=True,
+    help="the folder of domain.pddl, problem.pddl and bindings.yaml, or of plan.yaml; created if missing",
 )
 @options.force_option
 @options.command
 def from_yaml(file: Path, output: Path, force: bool) -> int:
-    """Write a domain in YAML as PDDL.
+    """Write a domain in YAML as PDDL, or a tree as a plan.
 
-    Also writes its problem, if it has one, and its bindings as bindings.yaml.
+    Also writes its problem, if it has one, and its bindings as bindings.yaml. A file of BehaviorTree.CPP (.xml) becomes plan.yaml: a plan
+    for each tree, the main tree first, which `pnm run --plan` carries out by its --name.
     """
-    result = imported(file)
+    is_tree = file.suffix == ".xml"
+    result = Imported({"plan.yaml": read_tree(read_text(file, MAX_BYTES), str(file))}) if is_tree else imported(file)
     options.print_warnings(result.warnings)
     try:
         output.mkdir(exist_ok=True)
