@@ -5,12 +5,11 @@ Commands import what they need in their functions, so that each starts as fast a
 
 from __future__ import annotations
 
-import json
 import logging
 import sys
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import click
 
@@ -21,9 +20,6 @@ from pnm.errors import InputError
 from pnm.files.database.place import without_password
 from pnm.files.process import make_streams_safe, own_standard_output
 from pnm.files.text import hide_arguments
-
-if TYPE_CHECKING:
-    from pnm.core.machine.machine import PetriNetMachine
 
 ELSEWHERE: Final = {
     "answer": ("running_node", "Answer a question that a task asks a person."),
@@ -224,11 +220,8 @@ def net(
     for each step, a transition for each outcome.
     """
     from planner_bridge.ordering.plan_to_graph import plan_graph
-    from pnm.core.machine.generate import generate
-    from pnm.core.machine.verification.verify import verify
+    from pnm import generate, net_svg, plan_dot, plan_svg, verify
     from pnm.core.pictures.export import as_data, to_dot, to_json
-    from pnm.core.pictures.net_picture import net_svg
-    from pnm.core.pictures.plan_picture import plan_dot, plan_svg
     from pnm.core.pictures.pnml import LOST, to_pnml
 
     if written_as in ("json", "pnml") and level == "calls":
@@ -287,28 +280,10 @@ def net(
             text = plan_svg(machine.plan) if written_as == "svg" else plan_dot(machine.plan)
     options.write(output, text, force=force)
     if certificate:
-        from pnm.files import check_certificate
-
-        options.write_files({certificate: certificate_text(machine)}, force=force)
-        print(f"check it with: python3 {check_certificate.__file__} {certificate}", file=sys.stderr)
+        options.write_certificate(certificate, machine, force=force)
     never = f"{len(proof.never)} of {len(machine.net.transitions)} transitions can never fire"
     print(f"proved {proof}; {never}{'' if verbose else ', -v lists them'}", *(proof.never if verbose else ()), sep="\n", file=sys.stderr)
     return 0
-
-
-def certificate_text(machine: PetriNetMachine) -> str:
-    """Return a certificate of the proof of a machine, as JSON."""
-    from importlib.metadata import version
-
-    from pnm.core.pictures.export import certified
-    from pnm.files import check_certificate
-
-    words = (check_certificate.__doc__ or "").partition(":\n- ")[2].partition(".\n")[0]
-    made_by = {"petri-net-machines": version("petri-net-machines"), "python": sys.version.split()[0]}
-    data = {"format": check_certificate.FORMAT, "made_by": made_by, "property": words.split(";\n- "), **certified(machine)}
-    text = json.dumps({**data, "hash": check_certificate.hash_of(data)}, indent=1) + "\n"
-    check_certificate.check(text)  # so that nobody gets one that is of no use
-    return text
 
 
 @app.command(epilog="Example: pnm simulate domain.pddl problem.pddl --faults faults.yaml")

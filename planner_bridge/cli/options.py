@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from pnm.actions.faults import Faults
     from pnm.core.logic.domain import Vocabulary
     from pnm.core.machine.bindings import Bindings
+    from pnm.core.machine.machine import PetriNetMachine
     from pnm.knowledge.sensor_model import Sensing
 
 
@@ -348,6 +349,29 @@ def write(path: Path | None, text: str, *, force: bool) -> None:
         print(text, end="")
     else:
         write_files({path: text}, force=force)
+
+
+def certificate_text(machine: PetriNetMachine) -> str:
+    """Return a certificate of the proof of a machine, as JSON."""
+    from importlib.metadata import version  # here and below, because few commands prove anything
+
+    from pnm.core.pictures.export import certified
+    from pnm.files import check_certificate
+
+    words = (check_certificate.__doc__ or "").partition(":\n- ")[2].partition(".\n")[0]
+    made_by = {"petri-net-machines": version("petri-net-machines"), "python": sys.version.split()[0]}
+    data = {"format": check_certificate.FORMAT, "made_by": made_by, "property": words.split(";\n- "), **certified(machine)}
+    text = json.dumps({**data, "hash": check_certificate.hash_of(data)}, indent=1) + "\n"
+    check_certificate.check(text)  # so that nobody gets one that is of no use
+    return text
+
+
+def write_certificate(path: Path, machine: PetriNetMachine, *, force: bool) -> None:
+    """Write a certificate, and say how it is checked."""
+    from pnm.files import check_certificate
+
+    write_files({path: certificate_text(machine)}, force=force)
+    print(f"check it with: python3 {check_certificate.__file__} {path}", file=sys.stderr)
 
 
 def check_output(path: Path, *, force: bool) -> None:

@@ -26,12 +26,12 @@ _PORT: Final = re.compile(r"(?!ID$|name$|_)[A-Za-z_][A-Za-z0-9_.-]*")
 # --- writing ----------------------------------------------------------------------------------
 
 
-class Node(NamedTuple):
+class TreeNode(NamedTuple):
     """A node of a tree."""
 
     tag: str
     attributes: Mapping[str, str] = {}
-    children: tuple[Node, ...] = ()
+    children: tuple[TreeNode, ...] = ()
 
     def lines(self, indent: str) -> Iterator[str]:
         """Yield it as XML."""
@@ -53,16 +53,16 @@ class Tree(NamedTuple):
     lost: tuple[str, ...]
 
 
-_SUCCESS: Final = Node("AlwaysSuccess")
+_SUCCESS: Final = TreeNode("AlwaysSuccess")
 _ENDLESS: Final = {"num_attempts": "-1"}
 
 
-def _all(children: Sequence[Node], tag: str = "Sequence") -> Node:
-    return children[0] if len(children) == 1 else Node(tag, {}, tuple(children)) if children else _SUCCESS
+def _all(children: Sequence[TreeNode], tag: str = "Sequence") -> TreeNode:
+    return children[0] if len(children) == 1 else TreeNode(tag, {}, tuple(children)) if children else _SUCCESS
 
 
-def _holds(condition: object) -> Node:
-    return Node("Condition", {"ID": "Holds", "condition": str(condition)})
+def _holds(condition: object) -> TreeNode:
+    return TreeNode("Condition", {"ID": "Holds", "condition": str(condition)})
 
 
 class _TreeWriter:
@@ -72,25 +72,25 @@ class _TreeWriter:
         self.models: dict[str, dict[str, None]] = {}
         self.lost: dict[str, None] = {"preconditions, effects, resources and the proof: leaves are calls alone": None}
 
-    def text(self, node: Node) -> Tree:
+    def text(self, node: TreeNode) -> Tree:
         """Return the file of a tree."""
         ports = {
-            name: tuple(Node("input_port", {"name": port, "type": "std::string"}) for port in its) for name, its in self.models.items()
+            name: tuple(TreeNode("input_port", {"name": port, "type": "std::string"}) for port in its) for name, its in self.models.items()
         }
-        asks = Node("Condition", {"ID": "Holds"}, (Node("input_port", {"name": "condition", "type": "std::string"}),))
-        nodes = (*(Node("Action", {"ID": name}, its) for name, its in ports.items()), asks)
-        tree = Node("BehaviorTree", {"ID": "Plan"}, (node,))
-        root = Node("root", {"BTCPP_format": "4", "main_tree_to_execute": "Plan"}, (tree, Node("TreeNodesModel", {}, nodes)))
+        asks = TreeNode("Condition", {"ID": "Holds"}, (TreeNode("input_port", {"name": "condition", "type": "std::string"}),))
+        nodes = (*(TreeNode("Action", {"ID": name}, its) for name, its in ports.items()), asks)
+        tree = TreeNode("BehaviorTree", {"ID": "Plan"}, (node,))
+        root = TreeNode("root", {"BTCPP_format": "4", "main_tree_to_execute": "Plan"}, (tree, TreeNode("TreeNodesModel", {}, nodes)))
         notes = (f"<!-- lost: {xml(one).replace('--', '- -')} -->" for one in self.lost)
         return Tree("\n".join(('<?xml version="1.0" encoding="UTF-8"?>', *notes, *root.lines(""), "")), tuple(self.lost))
 
-    def action(self, name: str, arguments: Mapping[str, str], title: str) -> Node:
+    def action(self, name: str, arguments: Mapping[str, str], title: str) -> TreeNode:
         """Return a leaf. What cannot be a name of a port is one by its number."""
         ports = {key if _PORT.fullmatch(key) else f"arg{number}": value for number, (key, value) in enumerate(arguments.items())}
         self.models.setdefault(name, {}).update(dict.fromkeys(ports))
-        return Node("Action", {"ID": name, "name": title, **ports})
+        return TreeNode("Action", {"ID": name, "name": title, **ports})
 
-    def flow(self, flow: Flow) -> Node:
+    def flow(self, flow: Flow) -> TreeNode:
         """Return the node of some steps, which keep their order as far as sequences and parallel nodes can."""
         steps = {step.index: step for step in flow.steps}
         order = [event.call for event in in_order(flow) if event.moment is Moment.START]
@@ -102,7 +102,7 @@ class _TreeWriter:
             return _SUCCESS
         return self.block(blocks(reduced(len(order), (pair for pair in pairs if pair[0] < pair[1]))), [steps[index] for index in order])
 
-    def block(self, block: Block, steps: Sequence[Step]) -> Node:
+    def block(self, block: Block, steps: Sequence[Step]) -> TreeNode:
         """Return the node of a part of an order."""
         match block:
             case int():
@@ -111,7 +111,7 @@ class _TreeWriter:
                 return _all([self.block(part, steps) for part in parts])
             case Parallel(parts):
                 ends = {"success_count": "-1", "failure_count": "1"}
-                return Node("Parallel", ends, tuple(self.block(part, steps) for part in parts))
+                return TreeNode("Parallel", ends, tuple(self.block(part, steps) for part in parts))
             case Mesh(before):
                 self.lose("concurrency, where the order of steps is not one of sequences and parallel parts: they are one after the other")
                 return _all([self.step(steps[number]) for number in before])
@@ -122,26 +122,26 @@ class _TreeWriter:
         """Note that something is lost."""
         self.lost[what] = None
 
-    def step(self, step: Step) -> Node:
+    def step(self, step: Step) -> TreeNode:
         """Return the node of a step."""
         match step:
             case ActionCall():
                 return self.call(step)
             case Choice():
-                return Node("IfThenElse", {}, (_holds(step.condition), self.flow(step.then), self.flow(step.otherwise)))
+                return TreeNode("IfThenElse", {}, (_holds(step.condition), self.flow(step.then), self.flow(step.otherwise)))
             case Loop():  # a round in which the condition no longer holds does nothing
-                ends = Node("Inverter", {}, (_holds(step.condition),))
-                rounds = Node("Repeat", {"num_cycles": str(step.limit)}, (Node("Fallback", {}, (ends, self.flow(step.body))),))
-                return Node("Sequence", {}, (rounds, ends))
+                ends = TreeNode("Inverter", {}, (_holds(step.condition),))
+                rounds = TreeNode("Repeat", {"num_cycles": str(step.limit)}, (TreeNode("Fallback", {}, (ends, self.flow(step.body))),))
+                return TreeNode("Sequence", {}, (rounds, ends))
             case WaitUntil():
-                asks = Node("RetryUntilSuccessful", _ENDLESS, (_holds(step.condition),))
-                return Node("Timeout", {"msec": f"{step.limit * 1000:.0f}"}, (asks,))
+                asks = TreeNode("RetryUntilSuccessful", _ENDLESS, (_holds(step.condition),))
+                return TreeNode("Timeout", {"msec": f"{step.limit * 1000:.0f}"}, (asks,))
             case Junction():
                 return _SUCCESS
             case _:
                 assert_never(step)
 
-    def call(self, call: ActionCall) -> Node:
+    def call(self, call: ActionCall) -> TreeNode:
         """Return the node of a call, with its limits and recoveries around it."""
         action = call.action
         names = action.parameters if len(action.parameters) == len(action.arguments) else map(str, range(len(action.arguments)))
@@ -151,14 +151,14 @@ class _TreeWriter:
         if action.outcomes:
             self.lose("outcomes: a leaf succeeds or fails")
         if call.timeout is not None:
-            node = Node("Timeout", {"msec": f"{call.timeout * 1000:.0f}"}, (node,))
+            node = TreeNode("Timeout", {"msec": f"{call.timeout * 1000:.0f}"}, (node,))
         if call.retries:
-            node = Node("RetryUntilSuccessful", {"num_attempts": str(call.retries + 1)}, (node,))
+            node = TreeNode("RetryUntilSuccessful", {"num_attempts": str(call.retries + 1)}, (node,))
         ways = [node]
         for one in call.recoveries:
             self.lose("causes of recoveries, their conditions and how often they may be used: they are tried in their order")
             chain = [self.flow(one.chain)] if one.chain.steps else []
-            ends = {Then.RETRY: [node], Then.CONTINUE: [], Then.SKIP: []}.get(one.then, [Node("AlwaysFailure")])
+            ends = {Then.RETRY: [node], Then.CONTINUE: [], Then.SKIP: []}.get(one.then, [TreeNode("AlwaysFailure")])
             ways.append(_all([*chain, *ends]))
         return _all(ways, "Fallback")
 
@@ -167,7 +167,7 @@ def plan_tree(graph: PlanGraph) -> Tree:
     """Return a plan as a tree; its goal is asked for at the end."""
     writer = _TreeWriter()
     node = writer.flow(graph.flow)
-    return writer.text(node if graph.goal == TRUE else Node("Sequence", {}, (node, _holds(graph.goal))))
+    return writer.text(node if graph.goal == TRUE else TreeNode("Sequence", {}, (node, _holds(graph.goal))))
 
 
 def policy_tree(policy: Mapping[str, Any], goal: object) -> Tree:
@@ -178,11 +178,12 @@ def policy_tree(policy: Mapping[str, Any], goal: object) -> Tree:
     for number, entry in enumerate(policy["entries"]):
         arguments = {str(position): one for position, one in enumerate(entry["arguments"])}
         title = f"{entry['action']}({', '.join(entry['arguments'])})#{number}"
-        does = Node("ForceSuccess", {}, (writer.action(entry["action"], arguments, title),))  # else the next entry would follow a failure
-        entries.append(Node("Sequence", {}, (*map(_holds, entry["facts"]), does)))
-    # a round is a failure, after which the next one begins; so is a state for which there is no entry, which then is asked for again
-    again = Node("ForceFailure", {}, (_all(entries, "Fallback"),))
-    return writer.text(Node("RetryUntilSuccessful", _ENDLESS, (Node("Fallback", {}, (_holds(goal), again)),)))
+        does = TreeNode("ForceSuccess", {}, (writer.action(entry["action"], arguments, title),))
+        entries.append(TreeNode("Sequence", {}, (*map(_holds, entry["facts"]), does)))
+    # a round is a failure, after which the next one begins; so is a state for which there is no entry, which then is asked for again;
+    # a call is a success in any case, or else the next entry would follow upon a failure
+    again = TreeNode("ForceFailure", {}, (_all(entries, "Fallback"),))
+    return writer.text(TreeNode("RetryUntilSuccessful", _ENDLESS, (TreeNode("Fallback", {}, (_holds(goal), again)),)))
 
 
 # --- reading ----------------------------------------------------------------------------------

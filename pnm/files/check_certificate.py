@@ -30,14 +30,14 @@ RECORDS = {"budget", "failure mark", "resource", "restart"}
 MOST = 20_000  # states of one step
 
 
-class Refused(Exception):
+class NotProved(Exception):
     """The proof does not hold."""
 
 
 def require(is_so: object, what: str) -> None:
-    """Raise `Refused` unless something is so."""
+    """Raise `NotProved` unless something is so."""
     if not is_so:
-        raise Refused(what)
+        raise NotProved(what)
 
 
 def hash_of(certificate: dict[str, Any]) -> str:
@@ -271,7 +271,7 @@ def unanswered(guards: list[dict[str, Any]]) -> str:
 
 
 def check(text: str) -> str:
-    """Prove a certificate again and return what was proved; raise `Refused`."""
+    """Prove a certificate again and return what was proved; raise `NotProved`."""
     try:
         data = json.loads(text)
         require(isinstance(data, dict) and data["format"] == FORMAT, f"not a certificate of format {FORMAT}")
@@ -287,14 +287,14 @@ def check(text: str) -> str:
             for number, region in enumerate(net.held[owner]):
                 waiting += [(step, repeated or number in again) for step in region["steps"]]
     except CycleError as error:
-        raise Refused(f"it may go round for ever, or steps wait for each other: {str(error.args[1][0])[:80]}") from None
+        raise NotProved(f"it may go round for ever, or steps wait for each other: {str(error.args[1][0])[:80]}") from None
     except (KeyError, TypeError, AttributeError, IndexError, ValueError, RecursionError) as error:
-        raise Refused(f"not of the form of a certificate: {error!r}") from None
+        raise NotProved(f"not of the form of a certificate: {error!r}") from None
     return f"proved again: {len(data['steps'])} steps, {len(net.role)} places, {len(net.transitions)} transitions, {states} states explored"
 
 
 if __name__ == "__main__":
     try:
         sys.stdout.write(check(Path(sys.argv[1]).read_bytes().decode()) + "\n")
-    except (Refused, OSError, UnicodeDecodeError, IndexError) as error:
+    except (NotProved, OSError, UnicodeDecodeError, IndexError) as error:
         sys.exit(f"not proved: {error}")

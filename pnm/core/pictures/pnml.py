@@ -110,7 +110,7 @@ def read_pnml(text: str, file: str = "text") -> PnmlNet:
         names = {id: id for id in nodes}
     around = {id: (dict[str, int](), dict[str, int]()) for id, node in nodes.items() if node.tag == "transition"}
     for arc in arcs:
-        source, target = (_end(arc, side, nodes) for side in ("source", "target"))
+        source, target = (end_of(arc, side, nodes) for side in ("source", "target"))
         if nodes[source].tag == nodes[target].tag:
             raise InputError(f"an arc between two {nodes[source].tag}s; expected a place and a transition", arc.position)
         inputs, outputs = around[target if target in around else source]
@@ -138,7 +138,8 @@ def _label(element: Element, tag: str) -> str:
     return next((text.text.strip() for label in element.all(tag) for text in label.all("text")), "")
 
 
-def _end(arc: Element, side: str, nodes: Mapping[str, Element]) -> str:
+def end_of(arc: Element, side: str, nodes: Mapping[str, Element]) -> str:
+    """Return the id of the node at an end of an arc."""
     id = arc.of(side)
     if id not in nodes:
         hint = suggestion(id, nodes.keys())

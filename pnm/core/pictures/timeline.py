@@ -118,7 +118,7 @@ def timelines_xes(timelines: Iterable[Timeline]) -> str:
     for timeline in timelines:
         about = {"concept:name": timeline.id, "goal": timeline.goal, "ending": timeline.ending}
         lines += ["<trace>", *_strings(about)]
-        for time, event in sorted(_events(timeline), key=lambda event: event[0]):
+        for time, event in sorted(logged(timeline), key=lambda event: event[0]):
             moment = datetime.fromtimestamp(timeline.wall + time, UTC).isoformat(timespec="milliseconds")
             lines += ["<event>", *_strings(event), f'<date key="time:timestamp" value="{moment}"/>', "</event>"]
         lines.append("</trace>")
@@ -129,7 +129,8 @@ def _strings(values: Mapping[str, str]) -> Iterator[str]:
     return (f'<string key="{key}" value="{xml(value)}"/>' for key, value in values.items() if value)
 
 
-def _events(timeline: Timeline) -> Iterator[tuple[float, Mapping[str, str]]]:
+def logged(timeline: Timeline) -> Iterator[tuple[float, Mapping[str, str]]]:
+    """Yield the events of a trace, each with its time, in no order."""
     for number, plan in enumerate(timeline.plans):
         if plan.replan:
             yield plan.began, {"concept:name": "new plan", "lifecycle:transition": "complete", "reason": plan.replan.why}

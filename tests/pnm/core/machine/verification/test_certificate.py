@@ -13,11 +13,11 @@ from typing import Any
 from hypothesis import given, settings
 from hypothesis.strategies import integers
 
-from planner_bridge.cli.commands import certificate_text
+from planner_bridge.cli.options import certificate_text
 from pnm.core.machine.machine import PetriNetMachine
 from pnm.core.pictures.export import certified
 from pnm.files import check_certificate
-from pnm.files.check_certificate import Refused, check, hash_of
+from pnm.files.check_certificate import NotProved, check, hash_of
 from tests.support.runs.mutation.edits import mutant
 from tests.support.runs.mutation.gate import is_proved
 from tests.support.runs.mutation.machines import random_machine
@@ -31,7 +31,7 @@ def with_hash(data: dict[str, Any]) -> str:
 def holds(text: str) -> bool:
     try:
         check(text)
-    except Refused:
+    except NotProved:
         return False
     return True
 
