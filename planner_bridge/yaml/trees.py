@@ -191,6 +191,8 @@ def policy_tree(policy: Mapping[str, Any], goal: object) -> Tree:
 
 _CAUSES: Final = ("aborted", "preempted", "rejected", "unavailable", "timed_out", "lost")
 """The ends of a request that are the failure of a leaf."""
+_KEEP: Final = "keep"
+"""The operation that keeps whether a node has failed."""
 _MOST: Final = 100
 """Rounds of a `Repeat`, whose steps are written so often."""
 _LIMIT: Final = 100_000
@@ -285,10 +287,10 @@ class _TreeReader:
         """Return the plans as one file of the language, that of the main tree first."""
         self.plan_of(self.main, self.trees[self.main])
         entries = [Entry(single("params", items(params, short=True), short=True), name) for name, params in sorted(self.actions.items())]
-        keep = [Entry(single("type", "kb_action", short=True), "keep")] if any(plan.name == "keep" for plan in self.plans.values()) else []
+        keep = [Entry(single("type", "kb_action", short=True), _KEEP)] if any(plan.name == _KEEP for plan in self.plans.values()) else []
         whole = [Entry(YamlMapping((*entries, *keep)), "actions")]
         for plan in sorted(self.plans.values(), key=lambda plan: plan.name != self.main):
-            if plan.name == "keep":
+            if plan.name == _KEEP:
                 continue
             keys = [Entry(items(plan.used, short=True), "params")] if plan.used and plan.name != self.main else []
             keys += [Entry(items(plan.stored, short=True), "results")] if plan.stored and plan.name != self.main else []
@@ -299,8 +301,6 @@ class _TreeReader:
         """Return the plan of some nodes, one after the other; it is made once."""
         if name in self.plans:
             return self.plans[name]
-        if name in self.open:
-            raise InputError(f"the tree {name!r} calls itself", nodes[0].position)
         plan = _Plan(name)
         self.open.append(name)
         for node in nodes:
@@ -346,11 +346,11 @@ class _TreeReader:
         asked = self.plain(node.contents[0], plan)
         plan.parts += 1
         variable = f"failed_{plan.parts}"
-        self.plans.setdefault("keep", _Plan("keep"))
+        self.plans.setdefault(_KEEP, _Plan(_KEEP))
 
         def kept(value: str) -> YamlMapping:
             update = single("LocalUpdate", items((variable, Bare(value)), short=True), short=True)
-            return single("keep", single("operation", update, short=True))
+            return single(_KEEP, single("operation", update, short=True))
 
         asked.then = [kept("true"), "skip_action"]
         has_failed = single(
@@ -370,7 +370,9 @@ class _TreeReader:
     def part(self, plan: _Plan, *nodes: Element) -> _Call:
         """Return the call of a plan that is made of some nodes, which has the variables of the other one."""
         plan.parts += 1
-        made = self.plan_of(f"{plan.name}_{plan.parts}", *nodes)
+        while (name := f"{plan.name}_{plan.parts}") in self.trees:
+            plan.parts += 1
+        made = self.plan_of(name, *nodes)
         plan.used.update(made.used)
         plan.stored.update(made.stored)
         return _Call(made.name, {name: single("LocalQuery", name, short=True) for name in made.used})
@@ -423,7 +425,7 @@ class _TreeReader:
     def leaf(self, node: Element, plan: _Plan) -> _Call:
         """Return the call of an action."""
         name = node.of("ID") if node.tag in ("Action", "Condition") else node.tag
-        if name in RESERVED or name in self.trees:
+        if name in RESERVED or name in self.trees or name == _KEEP:
             raise InputError(f"an action cannot be called {name!r} in a plan", node.position)
         ports = {} if name not in self.models else {port.of("name"): port for port in self.models[name].contents}
         arguments, stored = dict[str, Value](), dict[str, str]()
@@ -443,6 +445,8 @@ class _TreeReader:
             raise InputError(f"there is no tree {name!r}; {suggestion(name, self.trees)}".rstrip("; "), node.position)
         if node.attributes.get("_autoremap", "false").lower() in ("1", "true"):
             raise InputError("_autoremap is not read; expected each variable of the tree as an attribute", node.position)
+        if name in self.open:
+            raise InputError(f"the tree {name!r} calls itself", node.position)
         made = self.plan_of(name, self.trees[name])
         given = {port: self.value(text, plan, node) for port, text in self.ports(node)}
         if missing := [variable for variable in made.used if variable not in given and variable not in made.stored]:
