@@ -1,4 +1,4 @@
-"""Behaviour trees: a plan as a tree keeps its calls and their order, and a tree as a plan; what is not read is refused by name and place."""
+"""Behaviour trees: a plan as a tree keeps its calls and their order, and a tree as a plan; the rest is refused by name and place."""
 
 from __future__ import annotations
 
