@@ -13,7 +13,9 @@ from typing import Any, Final, NamedTuple, assert_never
 
 from planner_bridge.yaml.emitter import Bare, Entry, Value, YamlMapping, document, items, single
 from planner_bridge.yaml.writer import Block, Mesh, Parallel, Series, blocks
+from pnm.core.logic.computed_values import Literal, Query
 from pnm.core.logic.conditions import TRUE
+from pnm.core.machine.failure_causes import Cause
 from pnm.core.machine.plan_graph import ActionCall, Choice, Flow, Junction, Loop, Moment, PlanGraph, Step, Then, WaitUntil, in_order
 from pnm.core.net.net import reduced
 from pnm.core.pictures.xml_text import Element, read_xml, xml
@@ -22,6 +24,8 @@ from pnm.language.grammar import RESERVED
 
 _PORT: Final = re.compile(r"(?!ID$|name$|_)[A-Za-z_][A-Za-z0-9_.-]*")
 """Names that the attribute of a node may have as a port."""
+
+_NOTHING: Final[Mapping[str, str]] = {}
 
 # --- writing ----------------------------------------------------------------------------------
 
@@ -69,13 +73,14 @@ class _TreeWriter:
     """Makes the nodes of a plan, or of a policy. The mutable state are the ports of actions that are seen, and what is lost."""
 
     def __init__(self) -> None:
-        self.models: dict[str, dict[str, None]] = {}
-        self.lost: dict[str, None] = {"preconditions, effects, resources and the proof: leaves are calls alone": None}
+        self.models: dict[str, dict[str, str]] = {}
+        self.lost: dict[str, None] = {"preconditions, effects, results, resources and the proof: leaves are calls alone": None}
 
     def text(self, node: TreeNode) -> Tree:
         """Return the file of a tree."""
         ports = {
-            name: tuple(TreeNode("input_port", {"name": port, "type": "std::string"}) for port in its) for name, its in self.models.items()
+            name: tuple(TreeNode(kind, {"name": port, "type": "std::string"}) for port, kind in its.items())
+            for name, its in self.models.items()
         }
         asks = TreeNode("Condition", {"ID": "Holds"}, (TreeNode("input_port", {"name": "condition", "type": "std::string"}),))
         nodes = (*(TreeNode("Action", {"ID": name}, its) for name, its in ports.items()), asks)
@@ -84,11 +89,13 @@ class _TreeWriter:
         notes = (f"<!-- lost: {xml(one).replace('--', '- -')} -->" for one in self.lost)
         return Tree("\n".join(('<?xml version="1.0" encoding="UTF-8"?>', *notes, *root.lines(""), "")), tuple(self.lost))
 
-    def action(self, name: str, arguments: Mapping[str, str], title: str) -> TreeNode:
+    def action(self, name: str, arguments: Mapping[str, str], title: str, stored: Mapping[str, str] = _NOTHING) -> TreeNode:
         """Return a leaf. What cannot be a name of a port is one by its number."""
         ports = {key if _PORT.fullmatch(key) else f"arg{number}": value for number, (key, value) in enumerate(arguments.items())}
-        self.models.setdefault(name, {}).update(dict.fromkeys(ports))
-        return TreeNode("Action", {"ID": name, "name": title, **ports})
+        results = {key: f"{{{variable}}}" for key, variable in stored.items() if _PORT.fullmatch(key) and key not in ports}
+        model = self.models.setdefault(name, {})
+        model.update(dict.fromkeys(ports, "input_port") | dict.fromkeys(results, "output_port"))
+        return TreeNode("Action", {"ID": name, "name": title, **ports, **results})
 
     def flow(self, flow: Flow) -> TreeNode:
         """Return the node of some steps, which keep their order as far as sequences and parallel nodes can."""
@@ -143,23 +150,39 @@ class _TreeWriter:
 
     def call(self, call: ActionCall) -> TreeNode:
         """Return the node of a call, with its limits and recoveries around it."""
-        action = call.action
+        action, given = call.action, dict(call.action.given)
         names = action.parameters if len(action.parameters) == len(action.arguments) else map(str, range(len(action.arguments)))
-        node = self.action(action.name, dict(zip(names, action.arguments, strict=True)), str(call))
+        ports = dict[str, str]()
+        for name, text in zip(names, action.arguments, strict=True):
+            ports[name] = text
+            if text.startswith("?"):  # it has no value before
+                asked = given.get(name)
+                variable = asked.name.value if isinstance(asked, Query) and isinstance(asked.name, Literal) else name
+                ports[name] = f"{{{variable}}}"
+                if asked is not None and not isinstance(asked, Query):
+                    self.lose("values that are computed: a leaf finds them on the blackboard, under the name of its port")
+        node = self.action(action.name, ports, str(call), dict(call.store))
         if call.release or call.latest_start < float("inf") or call.deadline < float("inf"):
             self.lose("times at which calls may start, and deadlines")
+        if action.operation:
+            self.lose("what operations on knowledge do: they are leaves")
         if action.outcomes:
             self.lose("outcomes: a leaf succeeds or fails")
         if call.timeout is not None:
             node = TreeNode("Timeout", {"msec": f"{call.timeout * 1000:.0f}"}, (node,))
-        if call.retries:
+        if call.retries and not any(Cause.ABORTED in one.causes for one in call.recoveries):  # which come in place of other attempts
             node = TreeNode("RetryUntilSuccessful", {"num_attempts": str(call.retries + 1)}, (node,))
         ways = [node]
         for one in call.recoveries:
-            self.lose("causes of recoveries, their conditions and how often they may be used: they are tried in their order")
+            if Cause.ABORTED not in one.causes:  # of which a leaf knows nothing: that of any plan by hand, after others, says so of itself
+                if one.chain.steps or one.then not in (Then.CONTINUE, Then.RETRY):
+                    self.lose("recoveries after other failures than that the action was aborted")
+                continue
             chain = [self.flow(one.chain)] if one.chain.steps else []
             ends = {Then.RETRY: [node], Then.CONTINUE: [], Then.SKIP: []}.get(one.then, [TreeNode("AlwaysFailure")])
-            ways.append(_all([*chain, *ends]))
+            way = _all([*chain, *ends])
+            again = TreeNode("RetryUntilSuccessful", {"num_attempts": str(one.times)}, (way,))
+            ways.append(again if one.times > 1 and one.then is Then.RETRY else way)
         return _all(ways, "Fallback")
 
 
@@ -204,7 +227,7 @@ _REFUSED: Final = {
         ("Switch2", "Switch3", "Switch4", "Switch5", "Switch6", "WhileDoElse"), "it asks again while others run; expected IfThenElse"
     ),
     **dict.fromkeys(("Script", "ScriptCondition", "SetBlackboard", "UnsetBlackboard", "Precondition"), "scripts are not read"),
-    **dict.fromkeys(("Inverter", "ForceFailure", "AlwaysFailure"), "a plan goes on after successes alone; expected Fallback or IfThenElse"),
+    **dict.fromkeys(("Inverter", "ForceFailure", "AlwaysFailure"), "it goes on after a failure; expected Fallback or IfThenElse"),
     **dict.fromkeys(
         ("KeepRunningUntilFailure", "Delay", "RunOnce", "ConsumeQueue", "EntryUpdated", "Sleep", "LoopDouble"), "there is no such step"
     ),
@@ -393,11 +416,17 @@ class _TreeReader:
                 if not node.contents:
                     raise InputError("<Fallback> has no node", node.position)
                 call, rest = self.plain(node.contents[0], plan), node.contents[1:]
-                if len(rest) == 1 and rest[0].tag != "Sequence":
-                    call.then = [*self.steps(rest[0], plan), "skip_action"]
+                if len(rest) == 1 and rest[0].tag == "Sequence" and rest[0].contents:
+                    rest = [rest[0]] if rest[0].contents[-1].tag != "AlwaysFailure" else rest[0].contents
+                    fails = rest[-1].tag == "AlwaysFailure"
+                    others = rest[: len(rest) - fails]
+                    call.then = [self.part(plan, *others).step()] if others else []
+                    call.then.append("fail" if fails else "skip_action")
+                elif len(rest) == 1:
+                    call.then = ["fail"] if rest[0].tag == "AlwaysFailure" else [*self.steps(rest[0], plan), "skip_action"]
                 elif rest:
-                    others = Element("Fallback", "", {}, node.position, contents=rest) if len(rest) > 1 else rest[0]
-                    call.then = [self.part(plan, others).step(), "skip_action"]
+                    others = [Element("Fallback", "", {}, node.position, contents=rest)]
+                    call.then = [self.part(plan, *others).step(), "skip_action"]
             case "SubTree":
                 return self.subtree(node, plan)
             case _ if self.is_leaf(node):
