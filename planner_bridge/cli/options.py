@@ -352,7 +352,7 @@ def write(path: Path | None, text: str, *, force: bool) -> None:
 
 
 def certificate_text(machine: PetriNetMachine) -> str:
-    """Return a certificate of the proof of a machine, as JSON."""
+    """Return a certificate of the proof of a machine, as JSON; raise an `InputError` if it is more than the checker looks at."""
     from importlib.metadata import version  # here and below, because few commands prove anything
 
     from pnm.core.pictures.export import certified
@@ -362,7 +362,10 @@ def certificate_text(machine: PetriNetMachine) -> str:
     made_by = {"petri-net-machines": version("petri-net-machines"), "python": sys.version.split()[0]}
     data = {"format": check_certificate.FORMAT, "made_by": made_by, "property": words.split(";\n- "), **certified(machine)}
     text = json.dumps({**data, "hash": check_certificate.hash_of(data)}, indent=1) + "\n"
-    check_certificate.check(text)  # so that nobody gets one that is of no use
+    try:
+        check_certificate.check(text)  # so that nobody gets one that is of no use
+    except check_certificate.NotProved as error:
+        raise InputError(f"the machine is proved, and its certificate is not: {error}") from error
     return text
 
 
