@@ -516,4 +516,8 @@ class _TreeReader:
 
 def read_tree(text: str, file: str) -> str:
     """Return the trees of a file as plans in YAML, the main one first; raise `InputError`, with line and column, if they are none."""
-    return _TreeReader(read_xml(text, file)).text()
+    root = read_xml(text, file)
+    try:
+        return _TreeReader(root).text()
+    except RecursionError as error:
+        raise InputError("trees are nested too deeply", root.position) from error

@@ -213,6 +213,31 @@ def test_a_leaf_that_the_model_does_not_know_is_refused_with_the_nearest_one() -
     assert [call.store for call in graph.calls] == [(("took", "time"),), ()]
 
 
+def refusal(text: str) -> InputError | None:
+    try:
+        read_tree(text, "tree.xml")
+    except InputError as error:
+        return error
+    return None
+
+
+def test_damaged_and_huge_trees_are_refused_in_sentences_or_are_plans() -> None:
+    whole = plan_tree(random_plan(Random(3))).text
+    for seed in range(200):
+        random, letters = Random(seed), [*whole]
+        for _ in range(random.randint(1, 3)):
+            place = random.randrange(len(letters))
+            letters[place : place + random.randint(0, 3)] = random.choice(["", "<", '"', "/>", "{x}", "Sequence", "\x00"])
+        error = refusal("".join(letters))
+        assert error is None or (error.position and error.position.line), f"seed {seed}: {error}"
+    called = "".join(f'<BehaviorTree ID="t{number}"><SubTree ID="t{number + 1}"/></BehaviorTree>' for number in range(5_000))
+    assert "nested too deeply" in str(
+        refusal(f'<root BTCPP_format="4" main_tree_to_execute="t0">{called}<BehaviorTree ID="t5000"/></root>')
+    )
+    often = '<Repeat num_cycles="100">' * 4 + "<A/>" + "</Repeat>" * 4
+    assert "the plan has more than" in str(refusal(ROOT_TAG % often))
+
+
 def test_limits_and_tries_are_those_of_calls() -> None:
     tries = '<RetryUntilSuccessful num_attempts="4"><A/></RetryUntilSuccessful><Timeout msec="1500"><B/></Timeout>'
     graph = plan_of(read_tree(ROOT_TAG % f"<Sequence>{tries}<Repeat num_cycles='3'><C n='2'/></Repeat></Sequence>", "tree.xml"), FOLDER)
