@@ -30,7 +30,7 @@ ELSEWHERE: Final = {
     "give": ("running_node", "Give a robot back that you have taken over."),
     "goal": ("running_node", "Send a goal, and follow it to its end."),
     "history": ("journal", "List the tasks of a journal."),
-    "import": ("convert", "Write a domain in YAML as PDDL, or a tree as a plan."),
+    "import": ("convert", "Write YAML as PDDL, or a tree as a plan."),
     "init": ("robot", "Write first files for a running robot."),
     "journal": ("journal", "Check, move, copy or prune a journal."),
     "learn": ("journal", "Learn chances and durations from journals."),

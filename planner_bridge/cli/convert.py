@@ -119,7 +119,7 @@ def _write_tree(tree: Tree, output: Path | None, *, force: bool) -> int:
 @options.force_option
 @options.command
 def from_yaml(file: Path, output: Path, force: bool) -> int:
-    """Write a domain in YAML as PDDL, or a tree as a plan.
+    """Write YAML as PDDL, or a tree as a plan.
 
     Also writes its problem, if it has one, and its bindings as bindings.yaml. A file of BehaviorTree.CPP (.xml) becomes plan.yaml: a plan
     for each tree, the main tree first, which `pnm run --plan` carries out by its --name.
