@@ -57,12 +57,17 @@ async def _serve(problem: Problem, bindings: Bindings, faults: Faults, speed: fl
     async with RosThread("robots") as ros:
         from pnm.ros.action_server.goal_server import Offer, SimulatedServers, publish_state  # needs rclpy, which is there by now
         from pnm.ros.node.graph import server_name
+        from pnm.ros.node.messages import has_own_types
 
         with suppress(asyncio.CancelledError):  # it may come before the servers are up
             logged = LoggedRobots(robots, log)
             models = [fitted(model) for model in server_models(problem, bindings, robots.world)]
             # The state before the servers: a client that finds them shall know the world.
-            await publish_state(ros, robots.world, robots.world.reported(bindings.assumed), robots.begin)
+            if has_own_types():
+                await publish_state(ros, robots.world, robots.world.reported(bindings.assumed), robots.begin)
+            else:
+                logging.getLogger(__name__).warning("no facts are reported: pnm_interfaces, which has the type of such reports, is not installed")
+                robots.begin()
             names = await ros.ask(lambda: [server_name(ros.node, model.server, model.position) for model in models])
             await SimulatedServers(ros, logged, robots.progress).open(
                 [Offer(name, model.type, model.decode, model.answer) for name, model in zip(names, models, strict=True)]
@@ -155,11 +160,11 @@ def fitted(model: ServerModel) -> ServerModel:
     """Return the model with its bindings fitted to its server's type, constants by value; raise an `InputError` if one does not fit."""
     from pnm.ros.node.messages import fitted_binding, import_type  # needs rclpy, which is an extra
 
-    action_type, bound = import_type(model.type), dict(model.bindings.actions)
+    bound = dict(model.bindings.actions)
     for name in {schema.name for schema, _ in model.choices}:
         binding = model.bindings.of(name)
         try:
-            bound[name] = fitted_binding(binding, action_type)
+            bound[name] = fitted_binding(binding, import_type(model.type))
         except InputError as error:
             advice = "" if binding.type else f"; without a 'type' in its binding, {model.server} is played as a {model.type}"
             raise InputError(f"{name}: {error.message}{advice}", binding.position) from error

@@ -65,7 +65,7 @@ def import_type(name: str) -> Any:
     try:
         return getattr(importlib.import_module(f"{package}.{kind}"), interface)
     except (ImportError, AttributeError) as error:
-        ours = "`pip install ./ros/pnm_interfaces`"
+        ours = "`pip install ./ros/pnm_interfaces`, or its wheel: nodes and the commands for them need it"
         advice = ours if package == "pnm_interfaces" else f"install the ROS package {package}, or source its workspace"
         raise InputError(f"the ROS type {name} is not installed; {advice}") from error
 

@@ -6,6 +6,7 @@ import pytest
 
 from tests.support.processes import Program
 
+WITHOUT = "tests.support.e2e.programs.without_our_messages"
 DOMAIN = """
 (define (domain foreign)
   (:requirements :strips)
@@ -42,7 +43,7 @@ def test_goals_are_filled_from_bindings_and_from_results_of_earlier_actions(worl
     assert all(call["assumed"] for call in result["calls"]), "nothing senses what these actions have done"
 
 
-@pytest.mark.parametrize("command", ["planner_bridge", "tests.support.e2e.programs.without_our_messages"])
+@pytest.mark.parametrize("command", ["planner_bridge", WITHOUT])
 def test_the_first_files_for_them_pass_the_check_and_reach_their_goal(world, tmp_path, command: str) -> None:
     deployment, _ = world
 
@@ -57,5 +58,24 @@ def test_the_first_files_for_them_pass_the_check_and_reach_their_goal(world, tmp
     ends(0, "check", *files)
     ends(0, "run", *files, "--actions", "ros2")
     assert "domain.pddl" in ends(2, "init", str(folder)).err[-1]
-    if command != "planner_bridge":
-        assert "pnm_interfaces/msg/Question is not installed" in ends(2, "serve", *files[:2], "--journal", "none").err[-1]
+
+
+def test_a_node_and_its_commands_say_which_messages_they_need(world) -> None:
+    deployment, _ = world
+    for command in (["serve", *deployment.files, "--journal", "none"], ["simulate", *deployment.files], ["status"]):
+        program = deployment.module(Program, WITHOUT, *command)
+        assert program.ended() == 2, str(program)
+        assert "pnm_interfaces" in program.err[-1]
+        assert "`pip install ./ros/pnm_interfaces`, or its wheel" in program.err[-1]
+
+
+def test_robots_of_other_types_are_rehearsed_without_our_messages(deploy_for_module) -> None:
+    measured = "{type: test_msgs/action/NestedMessage, goal: {nested_field: {int32_value: 21}}}"
+    bindings = (
+        f"actions:\n  count: {{type: test_msgs/action/Fibonacci, goal: {{order: 3}}}}\n  measure: {measured}\n  measure_again: {measured}\n"
+    )
+    deployment = deploy_for_module("foreign", texts=(DOMAIN, PROBLEM), bindings=bindings, quick=True)
+    simulation = deployment.simulate(WITHOUT).ready()
+    run = deployment.run(program=WITHOUT)
+    assert deployment.finish(run, simulation).status == 0
+    assert any("no facts are reported" in line for line in simulation.err), str(simulation)

@@ -128,10 +128,10 @@ class ProblemDeployment(RosDomain):
         options = [*self._bindings, *self._faults, *self._speed, "--log", "/dev/stdout"]
         return self.module(SimulationProgram, program, "simulate", *self.files, *options)
 
-    def run(self, *options: str, within: Sequence[str] = ()) -> RunProgram:
-        """Start a run, by the command it is within if any."""
+    def run(self, *options: str, within: Sequence[str] = (), program: str = "planner_bridge") -> RunProgram:
+        """Start a run, by the command it is within if any, with a module in place of `pnm` if there is one."""
         options = ("--actions", "ros2", "--json", *self._bindings, *options)
-        return self.pnm(RunProgram, "run", *self.files, *options, within=within)
+        return self.module(RunProgram, program, "run", *self.files, *options, within=within)
 
     def execute(self, *options: str) -> Finished:
         """Start the robots and a run, and wait for its end; the verdict must be true."""
