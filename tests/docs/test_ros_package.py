@@ -6,7 +6,10 @@ import ast
 import subprocess
 import sys
 import tomllib
+from importlib.metadata import version
 from xml.etree import ElementTree
+
+import yaml
 
 from tests.support.files import ROOT
 
@@ -31,6 +34,23 @@ def test_name_and_version_are_those_of_the_project():
     package = ElementTree.parse(PACKAGE / "package.xml").getroot()
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
     assert [package.findtext(name) for name in ("name", "version", "license")] == ["pnm", project["version"], project["license"]]
+
+
+def test_the_version_is_written_once_and_repeated_without_a_mistake():
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    cited = yaml.safe_load((ROOT / "CITATION.cff").read_text())
+    assert [cited[name] for name in ("version", "license", "keywords")] == [project[name] for name in ("version", "license", "keywords")]
+    newest = next(line for line in (ROOT / "CHANGELOG.md").read_text().splitlines() if line.startswith("## "))
+    assert newest.removeprefix("## ").partition(",")[0] == project["version"]
+    assert version("petri-net-machines") == project["version"], "installed anew after a change"
+
+
+def test_our_messages_have_one_version():
+    ours = ROOT / "ros" / "pnm_interfaces"
+    package = ElementTree.parse(ours / "package.xml").getroot()
+    project = tomllib.loads((ours / "pyproject.toml").read_text())["project"]
+    assert [package.findtext(name) for name in ("version", "license")] == [project["version"], project["license"]]
+    assert f"`pnm_interfaces` {project['version']}" in (ROOT / "CHANGELOG.md").read_text()
 
 
 def test_what_is_launched_is_what_is_installed():
