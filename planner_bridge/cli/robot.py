@@ -28,11 +28,11 @@ from pnm.errors import InputError
 _STYLES: Final = {ReadyState.READY: "green", ReadyState.UNFIT: "bold red"}
 
 
-TEMPLATES: Final = ("dialogue", "pick-place", "two-robots-door-battery")
+TEMPLATES: Final = ("dialogue", "nav2", "pick-place", "two-robots-door-battery")
 """The names of small worlds that run in simulation at once."""
 
 
-@click.command(epilog="Examples: pnm init my_robot; pnm init my_robot --template pick-place")
+@click.command(epilog="Examples: pnm init my_robot --map map.yaml; pnm init my_robot --template pick-place")
 @click.argument("folder", type=options.FILE)
 @click.option("--template", type=click.Choice(TEMPLATES), help="write a small world that runs in simulation at once, to be edited")
 @options.force_option
