@@ -37,6 +37,7 @@ ELSEWHERE: Final = {
     "mcp": ("agents", "Serve agents over the Model Context Protocol."),
     "odds": ("robot", "Say how likely and how soon a goal is reached."),
     "pause": ("running_node", "Pause a task: it starts nothing more."),
+    "pose": ("robot", "Write where a robot is now as the pose of a place."),
     "replay": ("journal", "Execute the runs of a journal again."),
     "resume": ("running_node", "Continue a paused task, or a run that has died."),
     "run": ("run", "Plan, execute, and replan until the goal holds."),
@@ -286,8 +287,9 @@ def net(
     return 0
 
 
-@app.command(epilog="Example: pnm simulate domain.pddl problem.pddl --faults faults.yaml")
-@options.files
+@app.command(epilog="Examples: pnm simulate domain.pddl problem.pddl --faults faults.yaml; pnm simulate --plan round.yaml --set robot=r1")
+@options.files_or_plan
+@options.set_option
 @options.bindings_option
 @options.faults_option
 @click.option("--speed", type=options.Seconds(0.001), help="simulated seconds per real second; default 20, or 1 with timed facts")
@@ -295,19 +297,36 @@ def net(
 @options.force_option
 @command
 def simulate(
-    *, domain: Path, problem: Path, bindings: Path | None, faults: Path | None, speed: float | None, log: Path | None, force: bool
+    *,
+    domain: Path | None,
+    problem: Path | None,
+    plan_file: Path | None,
+    name: str | None,
+    given: tuple[str, ...],
+    bindings: Path | None,
+    faults: Path | None,
+    speed: float | None,
+    log: Path | None,
+    force: bool,
 ) -> int:
     """Simulate the robots, as action servers of ROS 2.
 
-    There is one for each action of DOMAIN, or as the bindings say. Sensors publish their facts.
+    There is one for each action of DOMAIN, or as the bindings say; with --plan, for each action of the plans of a file. Sensors publish
+    their facts.
     """
-    from planner_bridge.node.simulate import play
+    from planner_bridge.node.simulate import play, play_plans
     from planner_bridge.pipeline.loading import bindings_for
 
     if log:
         options.check_output(log, force=force)
-    loaded = options.problem_in(domain, problem)
-    bound = bindings_for(domain, bindings, loaded.vocabulary)
+    chosen = options.chosen_files(domain, problem, plan_file)
+    if isinstance(chosen, Path):
+        own, parameters = bindings_for(None, bindings, None), options.plan_parameters(given)
+        return play_plans(chosen, name, parameters, own, options.faults_in(faults, None), speed or 20.0, log)
+    if name or given:
+        raise InputError("--name and --set belong to hand-written plans; expected --plan and a file")
+    loaded = options.problem_in(*chosen)
+    bound = bindings_for(chosen[0], bindings, loaded.vocabulary)
     return play(
         loaded, bound, options.faults_in(faults, loaded.vocabulary), speed or (1.0 if loaded.timed or loaded.domain.nature else 20.0), log
     )

@@ -183,7 +183,9 @@ files = options(click.argument("domain", type=FILE), click.argument("problem", t
 files_or_plan = options(
     click.argument("domain", type=FILE, required=False),
     click.argument("problem", type=FILE, required=False),
-    click.option("--plan", "plan_file", type=FILE, help="a hand-written plan in YAML, or a world of plans, instead of DOMAIN and PROBLEM"),
+    click.option(
+        "--plan", "--world", "plan_file", type=FILE, help="a hand-written plan in YAML, or a world of plans, instead of DOMAIN and PROBLEM"
+    ),
     click.option("--name", help="the plan of that file, if it has several"),
 )
 set_option = click.option("--set", "given", metavar="NAME=VALUE", multiple=True, help="a parameter of that plan; the value in YAML")

@@ -24,6 +24,7 @@ from pnm.clock import run_async
 from pnm.core.machine.bindings import NO_BINDINGS
 from pnm.core.readiness import Readiness, ReadyState
 from pnm.errors import InputError
+from pnm.files.yaml_nodes import MAX_BYTES
 
 _STYLES: Final = {ReadyState.READY: "green", ReadyState.UNFIT: "bold red"}
 
@@ -32,18 +33,24 @@ TEMPLATES: Final = ("dialogue", "nav2", "pick-place", "two-robots-door-battery")
 """The names of small worlds that run in simulation at once."""
 
 
-@click.command(epilog="Examples: pnm init my_robot --map map.yaml; pnm init my_robot --template pick-place")
+@click.command(epilog="Examples: pnm init my_robot; pnm init my_robot --template nav2")
 @click.argument("folder", type=options.FILE)
 @click.option("--template", type=click.Choice(TEMPLATES), help="write a small world that runs in simulation at once, to be edited")
+@click.option(
+    "--poses", type=options.FILE, help="a file of places and their poses: `shelf: [x, y, yaw]` or `shelf: {pixel: [column, row]}`"
+)
+@click.option("--map", "map_file", type=options.FILE, help="the YAML file of a map of Nav2, for pixels, and on which all poses must be")
 @options.force_option
 @options.command
-def init(folder: Path, template: str | None, force: bool) -> int:
+def init(folder: Path, template: str | None, poses: Path | None, map_file: Path | None, force: bool) -> int:
     """Write first files for a running robot.
 
     Writes a domain, a problem, bindings and sensors for the ROS graph into FOLDER.
     They pass `pnm check`. Every line that needs your decision has a comment with the word `decide`.
     With --template, writes files of that world instead, without a look at the ROS graph.
     """
+    if (template and poses) or (map_file and not poses):
+        raise InputError("--map belongs to --poses, and poses to the files for a running robot; expected --poses, and no --template")
     if template:
         from planner_bridge.cli.demo import examples  # here, because robots need no examples
 
@@ -54,6 +61,12 @@ def init(folder: Path, template: str | None, force: bool) -> int:
         return 0
     name = re.sub(r"\W", "-", folder.resolve().name.lower()).strip("-") or "robot"
 
+    places: dict[str, str] = {}
+    if poses:
+        from pnm.actions.pose_table import read_map, read_poses  # here, because most robots have their poses in no file
+
+        places = {place: pose.row for place, pose in read_poses(poses, read_map(map_file) if map_file else None).items()}
+
     async def look() -> dict[str, str]:
         from pnm.ros.node.ros_thread import RosThread  # here, because rclpy is an extra
 
@@ -62,7 +75,7 @@ def init(folder: Path, template: str | None, force: bool) -> int:
             from pnm.ros.node.graph import snapshot
 
             await ros.settled()
-            return first_files(await ros.ask(lambda: snapshot(ros.node)), name)
+            return first_files(await ros.ask(lambda: snapshot(ros.node)), name, places)
 
     texts = run_async(look())
     _write(texts, folder, force=force)
@@ -78,6 +91,42 @@ def _write(texts: Mapping[str, str], folder: Path, *, force: bool) -> None:
     except OSError as error:
         raise InputError(f"{folder}: not a folder, and none can be made there: {error.strerror}") from error
     options.write_files({folder / name: text for name, text in texts.items()}, force=force)
+
+
+@click.command(epilog="Examples: pnm pose add shelf; pnm pose add dock --topic /r1/amcl_pose --bindings r1.yaml")
+@click.argument("what", type=click.Choice(["add"]))
+@click.argument("place")
+@click.option("--topic", default="", help="where the robot's pose is published; by default the only such topic, or amcl_pose")
+@click.option("--bindings", type=options.FILE, default=Path("bindings.yaml"), show_default=True, help="the file with the table of poses")
+@click.option("--action", default="", help="the action whose table it is; by default all that have one")
+@click.option("--seconds", type=options.Seconds(0), default=10.0, show_default=True, help="seconds for a message to come")
+@options.command
+def pose(what: str, place: str, topic: str, bindings: Path, action: str, seconds: float) -> int:
+    """Write where a robot is now as the pose of a place.
+
+    Drive it there first. PLACE gets a row in the table of poses of the bindings, in place of that it has; the rest of the file stays.
+    The topic has messages of geometry_msgs PoseStamped or PoseWithCovarianceStamped, or of nav_msgs Odometry.
+    """
+    from pnm.actions.pose_table import Pose, with_row  # here, because most commands write no poses
+    from pnm.files.text import read_text
+
+    if not re.fullmatch(r"[A-Za-z][\w-]*", place):
+        raise InputError(f"{place!r} cannot be a place of PDDL; expected letters, digits, - and _")
+    text = read_text(bindings, MAX_BYTES)
+    with_row(text, str(bindings), place, Pose(0.0, 0.0).row, action)  # says what is wrong before the robot is listened to
+
+    async def hear() -> Pose:
+        from pnm.ros.node.ros_thread import RosThread  # here, because rclpy is an extra
+
+        async with RosThread("pnm_pose") as ros:
+            from pnm.ros.node_client import heard_pose  # needs rclpy, which is there by now
+
+            return Pose(*await heard_pose(ros, topic, seconds))
+
+    found = run_async(hear())
+    options.write_files({bindings: with_row(text, str(bindings), place, found.row, action)}, force=True)
+    print(f"{place}: {found.row}")
+    return 0
 
 
 @click.command(epilog="Example: pnm check domain.pddl problem.pddl --sensing sensing.yaml")

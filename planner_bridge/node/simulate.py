@@ -9,26 +9,32 @@ from __future__ import annotations
 import asyncio
 import json
 import logging
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from itertools import product, starmap
 from math import prod
 from pathlib import Path
-from typing import Final, TextIO
+from typing import Final, TextIO, TypeVar
 
 from planner_bridge.model.grounding import ground_action, initial_knowledge, modelled_duration, with_found
 from planner_bridge.model.problem import Problem
 from planner_bridge.model.world import robots_of
+from pnm.actions.backend import SimulatedBackend
 from pnm.actions.faults import Faults
 from pnm.actions.simulated_robots import SimulatedRobots, SimulatedWorld, arguments_of, result_of
 from pnm.clock import run_async
 from pnm.core.knowledge_base import statement_text
+from pnm.core.logic.conditions import TRUE
 from pnm.core.logic.domain import MAX_CHOICES, ActionSchema
+from pnm.core.logic.effects import ground_effects
+from pnm.core.logic.expressions import bind
 from pnm.core.machine.bindings import Bindings, placeholders
 from pnm.core.machine.plan_graph import GroundAction
 from pnm.core.machine.requests import Accepted, Ended, Outcome, Report, Reporter, Request
-from pnm.errors import InputError, Position
+from pnm.errors import InputError
+from pnm.language.plan import called_plans, chosen_plan, merge_bindings, read_plans
+from pnm.language.runner import PlanRunner, Program
 from pnm.tasks import EVENTS
 
 DEFAULT_TYPE = "pnm_interfaces/action/GroundAction"
@@ -37,23 +43,43 @@ _LOGGED: Final = frozenset({"start", "end", "clash"})
 
 
 def play(problem: Problem, bindings: Bindings, faults: Faults, speed: float, log: Path | None) -> int:
+    """Play the robots of a problem until a signal; see `_played`."""
+    robots = robots_of(problem, bindings, faults, speed=speed)
+    return _played(robots, lambda: server_models(problem, bindings, robots.world), log)
+
+
+def play_plans(
+    file: Path, name: str | None, parameters: Mapping[str, object], bindings: Bindings, faults: Faults, speed: float, log: Path | None
+) -> int:
+    """Play the robots of the hand-written plans of a file, or of one of them and those that it calls, until a signal; see `_played`."""
+    plans = {one: replace(plan, bindings=bindings.before(plan.bindings)) for one, plan in read_plans(file).items()}
+    chosen = called_plans(plans, chosen_plan(plans, name)) if name else (*plans,)
+    bound, known = merge_bindings(plans.values()), initial_knowledge(*(plans[one] for one in chosen))
+    robots = [robots_of(plans[one], bound, faults, speed=speed) for one in chosen]
+    world = SimulatedWorld(known, frozenset().union(*(each.world.dynamic for each in robots)))
+    played = replace(robots[0], world=world, capacities={key: value for each in robots for key, value in each.capacities.items()})
+    runner = PlanRunner({one: Program.of(plans[one]) for one in chosen}, SimulatedBackend(played, bound.assumed), known)
+    actions = dict.fromkeys(action for one in chosen for action in runner.actions_with(one, parameters))
+    return _played(played, lambda: plan_server_models(tuple(actions), bound, world), log)
+
+
+def _played(robots: SimulatedRobots, models: Callable[[], Sequence[ServerModel | PlanServerModel]], log: Path | None) -> int:
     """Serve until a signal; raise an `InputError`, before anything is started, if the log cannot be written."""
     try:
         stream = log.open("w", encoding="utf-8") if log else None
     except OSError as error:
         raise InputError(f"{log}: cannot be written: {error.strerror}") from error
     try:
-        run_async(_serve(problem, bindings, faults, speed, stream))
+        run_async(_serve(robots, models, stream))
     finally:
         if stream:
             stream.close()
     return 0
 
 
-async def _serve(problem: Problem, bindings: Bindings, faults: Faults, speed: float, log: TextIO | None) -> None:
+async def _serve(robots: SimulatedRobots, served: Callable[[], Sequence[ServerModel | PlanServerModel]], log: TextIO | None) -> None:
     from pnm.ros.node.ros_thread import RosThread  # here, because rclpy is an extra
 
-    robots = robots_of(problem, bindings, faults, speed=speed)
     async with RosThread("robots") as ros:
         from pnm.ros.action_server.goal_server import Offer, SimulatedServers, publish_state  # needs rclpy, which is there by now
         from pnm.ros.node.graph import server_name
@@ -61,14 +87,17 @@ async def _serve(problem: Problem, bindings: Bindings, faults: Faults, speed: fl
 
         with suppress(asyncio.CancelledError):  # it may come before the servers are up
             logged = LoggedRobots(robots, log)
-            models = [fitted(model) for model in server_models(problem, bindings, robots.world)]
+            models = [fitted(model) for model in served()]
             # The state before the servers: a client that finds them shall know the world.
             if has_own_types():
-                await publish_state(ros, robots.world, robots.world.reported(bindings.assumed), robots.begin)
+                await publish_state(ros, robots.world, robots.world.reported(robots.bindings.assumed), robots.begin)
             else:
-                logging.getLogger(__name__).warning("no facts are reported: pnm_interfaces, which has the type of such reports, is not installed")
+                logging.getLogger(__name__).warning(
+                    "no facts are reported: pnm_interfaces, which has the type of such reports, is not installed"
+                )
                 robots.begin()
-            names = await ros.ask(lambda: [server_name(ros.node, model.server, model.position) for model in models])
+            positions = [model.bindings.of(model.names[0]).position for model in models]
+            names = await ros.ask(lambda: [server_name(ros.node, model.server, at) for model, at in zip(models, positions, strict=True)])
             await SimulatedServers(ros, logged, robots.progress).open(
                 [Offer(name, model.type, model.decode, model.answer) for name, model in zip(names, models, strict=True)]
             )
@@ -93,9 +122,9 @@ class ServerModel:
     world: SimulatedWorld
 
     @property
-    def position(self) -> Position | None:
-        """That of the binding with its name, in a file."""
-        return self.bindings.of(self.choices[0][0].name).position
+    def names(self) -> tuple[str, ...]:
+        """The names of its actions."""
+        return tuple([schema.name for schema, _ in self.choices])
 
     def decode(self, data: Mapping[str, object]) -> GroundAction:
         """Return the action of a goal, by `action`, field names, or its goal mapping backwards; raise an `InputError` if none fits."""
@@ -107,8 +136,7 @@ class ServerModel:
             action = ground_action(schema, arguments, planned if isinstance(planned, float) and planned > 0 else duration, state)
             if len(candidates) == 1 or self.world.holds(action.precondition):
                 return action
-        names = ", ".join(schema.name for schema, _ in self.choices)
-        raise InputError(f"the goal fits none of the actions {names}, as they are bound and as the world is: {dict(data)}")
+        raise InputError(f"the goal fits none of the actions {', '.join(self.names)}, as they are bound and as the world is: {dict(data)}")
 
     def answer(self, action: GroundAction, outcome: Outcome) -> dict[str, object]:
         """Return the result fields that say how the action has ended, as its binding reads them."""
@@ -156,12 +184,68 @@ def server_models(problem: Problem, bindings: Bindings, world: SimulatedWorld) -
     ]
 
 
-def fitted(model: ServerModel) -> ServerModel:
+@dataclass(frozen=True)
+class PlanServerModel:
+    """The model of one action server of hand-written plans: the calls that it executes. Their conditions are for the plan to check."""
+
+    server: str
+    type: str
+    actions: tuple[GroundAction, ...]
+    bindings: Bindings
+    world: SimulatedWorld
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The names of its actions."""
+        return tuple(dict.fromkeys(action.name for action in self.actions))
+
+    def decode(self, data: Mapping[str, object]) -> GroundAction:
+        """Return the call of a goal, by `action` and the fields of the goal; raise an `InputError` if none fits."""
+        named, listed = data.get("action"), data.get("arguments")
+        for action in self.actions:
+            told = arguments_of(self.bindings.of(action.name).goal or {}, data)
+            if told is None or (isinstance(named, str) and named not in ("", action.name)):
+                continue
+            known = dict(zip(action.parameters, listed, strict=False)) if isinstance(listed, list) else {}
+            known |= {name: value for name, value in data.items() if isinstance(value, str | int | float)} | told
+            env = {f"?{name}": value for name, value in known.items()}
+            arguments = bind(action.arguments, env)
+            if all(str(known.get(name, its)) == its for name, its in zip(action.parameters, arguments, strict=False)):
+                start, end = ground_effects(action.start_effects, env), ground_effects(action.end_effects, env)
+                ways = tuple([replace(way, effects=ground_effects(way.effects, env)) for way in action.outcomes])
+                free = replace(action, precondition=TRUE, invariant=TRUE, end_condition=TRUE, arguments=arguments)
+                return replace(free, start_effects=start, end_effects=end, outcomes=ways)
+        raise InputError(f"the goal fits no call of {', '.join(self.names)} in the plans: {dict(data)}")
+
+    def answer(self, action: GroundAction, outcome: Outcome) -> dict[str, object]:
+        """Return the result fields that say how the action has ended, as its binding reads them."""
+        return result_of(self.bindings.of(action.name), outcome)
+
+
+def plan_server_models(actions: Sequence[GroundAction], bindings: Bindings, world: SimulatedWorld) -> list[PlanServerModel]:
+    """Return the models of all servers of the calls of plans; raise an `InputError` if the name of one depends on an unknown parameter."""
+    served: dict[str, list[GroundAction]] = {}
+    for action in actions:
+        if "?" in (server := bindings.server(action)):
+            missing = next(name for name in placeholders(bindings.of(action.name).server or "") if f"?{name}" in server)
+            advice = f"the server {bindings.of(action.name).server} of {action.name} depends on {missing}, which is not known; give --set"
+            raise InputError(f"{advice} {missing}=…", bindings.of(action.name).position)
+        served.setdefault(server, []).append(action)
+    types = {
+        server: next((kind for one in calls if (kind := bindings.of(one.name).type)), DEFAULT_TYPE) for server, calls in served.items()
+    }
+    return [PlanServerModel(server, types[server], tuple(calls), bindings, world) for server, calls in served.items()]
+
+
+M = TypeVar("M", bound=ServerModel | PlanServerModel)
+
+
+def fitted(model: M) -> M:
     """Return the model with its bindings fitted to its server's type, constants by value; raise an `InputError` if one does not fit."""
     from pnm.ros.node.messages import fitted_binding, import_type  # needs rclpy, which is an extra
 
     bound = dict(model.bindings.actions)
-    for name in {schema.name for schema, _ in model.choices}:
+    for name in model.names:
         binding = model.bindings.of(name)
         try:
             bound[name] = fitted_binding(binding, import_type(model.type))

@@ -227,6 +227,11 @@ class Node:
         return isinstance(self.raw, yaml.MappingNode)
 
     @property
+    def is_in_braces(self) -> bool:
+        """Whether it is a mapping in braces, or a list in brackets, and so may have no lines of its own."""
+        return isinstance(self.raw, yaml.CollectionNode) and bool(self.raw.flow_style)
+
+    @property
     def items(self) -> tuple[Node, ...] | None:
         """The items of a list; None for anything else."""
         return tuple(Node(self.file, item) for item in self.raw.value) if isinstance(self.raw, yaml.SequenceNode) else None

@@ -25,6 +25,7 @@ _POSES: Final = {
     "geometry_msgs/Point": "{x: 0.0, y: 0.0}",
 }
 """Types of goal fields that are places, and what a row of a table for one looks like."""
+_NOWHERE: Final[Mapping[str, str]] = {}
 _SETTING: Final = re.compile(r"behavior_tree|\w+_id")
 """Names of texts in goals that choose how something is done, and are no objects: those of Nav2."""
 _VERDICTS: Final = frozenset({"success", "succeeded", "ok", "is_success"})
@@ -60,9 +61,13 @@ class DraftAction:
         return f"({' '.join((f'done_{self.name}', *(f'?{name}' for name in self.parameters)))})"
 
 
-def first_files(graph: GraphSnapshot, name: str) -> dict[str, str]:
-    """Return the texts of the first files by their names; raise `InputError` if of no action server the type is installed."""
-    actions, left_out, objects = actions_in(graph)
+def first_files(graph: GraphSnapshot, name: str, places: Mapping[str, str] = _NOWHERE) -> dict[str, str]:
+    """Return the texts of the first files by their names; raise `InputError` if of no action server the type is installed.
+
+    Args:
+        places: the stamped poses of places, as rows of tables.
+    """
+    actions, left_out, objects = actions_in(graph, places)
     if not actions:
         found = "; ".join(left_out) or "there is no action server in the ROS graph (is the robot on, and ROS_DOMAIN_ID the same?)"
         raise InputError(f"no files without an action server: {found}")
@@ -75,7 +80,7 @@ def first_files(graph: GraphSnapshot, name: str) -> dict[str, str]:
     }
 
 
-def actions_in(graph: GraphSnapshot) -> tuple[list[DraftAction], list[str], dict[str, list[str]]]:
+def actions_in(graph: GraphSnapshot, places: Mapping[str, str]) -> tuple[list[DraftAction], list[str], dict[str, list[str]]]:
     """Return actions, what was left out and why, and the objects by their types."""
     groups: dict[tuple[str, str], list[str]] = {}
     left_out: list[str] = []
@@ -102,23 +107,24 @@ def actions_in(graph: GraphSnapshot) -> tuple[list[DraftAction], list[str], dict
             if "{robot}" in pattern:
                 action.parameters["robot"] = "robot"
                 objects["robot"] = robots
-            bind_goal(action, action_type.Goal, objects)
+            bind_goal(action, action_type.Goal, objects, places)
             action.verdict.extend(verdict_lines(action_type.Result))
             actions.append(action)
     return actions, left_out, objects
 
 
-def bind_goal(action: DraftAction, goal: Any, objects: dict[str, list[str]]) -> None:
+def bind_goal(action: DraftAction, goal: Any, objects: dict[str, list[str]], places: Mapping[str, str]) -> None:
     """Write the lines about the fields of the goal, with parameters and objects for names and places."""
     for name, kind in goal.get_fields_and_field_types().items():
         if name in action.parameters:
             action.goal.append(f'      {name}: "?{name}"')
         elif kind in _POSES:
             action.parameters[name] = "place"
-            objects["place"] = ["somewhere"]
+            objects["place"] = [*places] or ["somewhere"]
             turn = "; turned by an angle a: orientation: {z: sin(a/2), w: cos(a/2)}" if "w:" in _POSES[kind] else ""
             action.goal += [f"      {name}:", f'        of: "?{name}"', f"        table:   # decide: a row for every place{turn}"]
-            action.goal.append(f"          somewhere: {_POSES[kind]}")
+            rows = places if "header" in _POSES[kind] and "pose" in _POSES[kind] else {}
+            action.goal += [f"          {place}: {rows.get(place, _POSES[kind])}" for place in objects["place"]]
         elif kind.startswith("string") and not _SETTING.fullmatch(name):
             action.parameters[name] = f"{name}_name"
             objects[f"{name}_name"] = [f"some_{name}"]

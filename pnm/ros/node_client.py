@@ -18,7 +18,7 @@ from pnm.errors import InputError, RosError
 from pnm.knowledge.source import SourceError
 from pnm.ros.action_client.client import Ros2ActionClient
 from pnm.ros.knowledge import DEPTH
-from pnm.ros.node.graph import server_name, servers
+from pnm.ros.node.graph import server_name, servers, snapshot
 from pnm.ros.node.messages import import_type, to_message
 from pnm.ros.node.ros_thread import RosThread, call_on_loop, profile
 from pnm.ros.node.services import ServiceClient, until_true
@@ -183,6 +183,40 @@ class NodeClient:
         namespace = await self._ros.ask(self._ros.node.get_namespace)
         domain = os.environ.get("ROS_DOMAIN_ID", "0")
         return f"{what}; is `pnm serve` running, in the namespace {namespace} and with ROS_DOMAIN_ID={domain}?"
+
+
+POSES: Final = ("geometry_msgs/msg/PoseStamped", "geometry_msgs/msg/PoseWithCovarianceStamped", "nav_msgs/msg/Odometry")
+"""Types of messages with the pose of a robot."""
+
+
+async def heard_pose(ros: RosThread, topic: str, limit: float) -> tuple[float, float, float, float, str]:
+    """Return x and y of a robot's pose, z and w of its rotation and its frame, by the next message of a topic, or the latched one.
+
+    Without the name of a topic it is the only one with such messages, or the one called ``amcl_pose``.
+
+    Raises:
+        InputError: there is no such topic, or there are several.
+        RosError: nothing comes within so many seconds.
+    """
+    await ros.settled()
+    there = await ros.ask(lambda: {name: types[0] for name, types in snapshot(ros.node).topics.items() if types[0] in POSES})
+    wanted = [name for name in there if name.strip("/") == topic.strip("/")] if topic else [*there]
+    chosen = [name for name in wanted if name.endswith("amcl_pose")] or wanted
+    if len(chosen) != 1:
+        kinds, among = " or ".join(kind.replace("/msg", "") for kind in POSES), ", ".join(there)
+        raise InputError(f"expected --topic and one topic of {kinds}; there {f'are {among}' if there else 'is none (is the robot on?)'}")
+    client, kind = NodeClient(ros), there[chosen[0]]
+    async with client.hearing(kind, chosen[0]) as new, client.hearing(kind, chosen[0], latched=True) as latched:
+        heard = [asyncio.ensure_future(queue.get()) for queue in (new, latched)]
+        done, waiting = await asyncio.wait(heard, timeout=limit, return_when=asyncio.FIRST_COMPLETED)
+        for task in waiting:
+            task.cancel()
+        if not done:
+            raise RosError(f"nothing was heard on {chosen[0]} for {limit:g} s")
+        message = done.pop().result()
+    pose = message.pose if kind == POSES[0] else message.pose.pose
+    turn = pose.orientation
+    return pose.position.x, pose.position.y, turn.z, turn.w, message.header.frame_id or "map"
 
 
 def _outcome(report: Report) -> Outcome:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import pytest
 
+from tests.support.e2e.deployment import RunProgram, SimulationProgram
+from tests.support.files import written
 from tests.support.processes import Program
 
 WITHOUT = "tests.support.e2e.programs.without_our_messages"
@@ -79,3 +81,43 @@ def test_robots_of_other_types_are_rehearsed_without_our_messages(deploy_for_mod
     run = deployment.run(program=WITHOUT)
     assert deployment.finish(run, simulation).status == 0
     assert any("no facts are reported" in line for line in simulation.err), str(simulation)
+
+
+ROUND = """
+types: robot place
+constants: [r1 - robot, hall - place]
+predicates: ["(seen ?p - place)"]
+actions:
+  look:
+    params: ?robot - robot ?place - place
+    server: "/{robot}/look"
+    effects: ["(seen ?place)"]
+    retries: 1
+  count: {type: kb_action, params: [operation]}
+params: [robot, times]
+results: [done]
+initial_knowledge: {done: 0, times: 2}
+plan:
+  - while:
+      condition: {Comparison: ["<", [LocalQuery: done, LocalQuery: times]]}
+      actions:
+        - look: {robot: {LocalQuery: robot}, place: hall}
+        - count: {operation: {LocalUpdate: [done, {Operation: ["+", [LocalQuery: done, 1]]}]}}
+"""
+
+
+def test_hand_written_plans_are_rehearsed_over_ros(deploy) -> None:
+    deployment = deploy("foreign", texts=(DOMAIN, PROBLEM), faults="faults: [{action: look, do: abort, times: 1}]", quick=True)
+    plan = ["--plan", str(written(deployment.folder / "round.yaml", ROUND))]
+    unknown = deployment.pnm(Program, "simulate", *plan)
+    assert unknown.ended() == 2
+    assert "the server /{robot}/look of look depends on robot, which is not known; give --set robot=…" in unknown.err[-1]
+    options = ["--faults", str(deployment.folder / "faults.yaml"), "--log", "/dev/stdout"]
+    simulation = deployment.pnm(SimulationProgram, "simulate", *plan, "--set", "robot=r1", *options).ready()
+    assert deployment.pnm(Program, "check", *plan, "--set", "robot=r1", "--wait", "30").ended() == 0
+    status, result = deployment.pnm(RunProgram, "run", *plan, "--set", "robot=r1", "--actions", "ros2", "--json").result()
+    simulation.stop()
+    assert (status, result["results"]) == (0, {"done": 2})
+    ends = [event["outcome"] for event in simulation.objects() if event["event"] == "end"]
+    assert ends == ["aborted", "succeeded"], "what is seen is reported, so the second round finds nothing to do"
+    assert simulation.objects()[-1]["facts"] == ["(seen hall)"]
