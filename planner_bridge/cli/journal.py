@@ -21,6 +21,7 @@ from rich.text import Text
 from planner_bridge.cli import options
 from planner_bridge.cli.console import SafeConsole
 from planner_bridge.cli.options import command
+from planner_bridge.explanations.history import JournalHistory
 from planner_bridge.node.node_journal import latest_journal
 from planner_bridge.tasks.result import TASKS
 from planner_bridge.view.story import timelines, timelines_svg
@@ -95,9 +96,10 @@ def replay(journal: str | None, last: int | None, as_json: bool, timeline: Path 
     return 0
 
 
-@click.command(epilog="Example: pnm history tasks.journal")
+@click.command(epilog="Examples: pnm history tasks.journal; pnm history -v")
 @journal_argument
 @click.option("--json", "as_json", is_flag=True, help="print only one JSON object per task")
+@click.option("-v", "--verbose", is_flag=True, help="also count plans, replans, requests and failures, and say what set off each replan")
 @click.option(
     "--format",
     "written_as",
@@ -108,7 +110,7 @@ def replay(journal: str | None, last: int | None, as_json: bool, timeline: Path 
 )
 @options.output_options
 @command
-def history(journal: str | None, as_json: bool, written_as: str, output: Path | None, force: bool) -> int:
+def history(journal: str | None, as_json: bool, verbose: bool, written_as: str, output: Path | None, force: bool) -> int:
     """List the tasks of a journal.
 
     Each line has the time of acceptance, the goal and the end.
@@ -124,13 +126,22 @@ def history(journal: str | None, as_json: bool, written_as: str, output: Path | 
         options.write(output, log, force=force)
         return 0
     with errors_of_journals():
-        tasks = summaries(chosen_journal(journal), TASKS)
+        tasks = summaries(place := chosen_journal(journal), TASKS)
+        told = JournalHistory.read(place).tasks if verbose else {}
     console = SafeConsole()
     for task in tasks:
+        more = told.get(task.accepted.wanted.id)
+        replans = [(run.time - more.time, run.replan.why) for run in more.own_runs if run.replan] if more else []
         if as_json:
-            print(json.dumps(task.as_json()), flush=True)
+            counts = (
+                {"counts": more.counts.as_json(), "replanned": [{"time": round(at, 4), "why": why} for at, why in replans]} if more else {}
+            )
+            print(json.dumps(task.as_json() | counts), flush=True)
         else:
             _print_task(task, console)
+            lines = [str(more.counts), *(f"{at:6.2f} s  replan  {why}" for at, why in replans)] if more else []
+            for line in lines:
+                console.print(Text(f"{'':21}{line}"))
     if not (tasks or as_json):
         console.print("no tasks")
     return 0

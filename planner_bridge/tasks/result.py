@@ -99,6 +99,10 @@ class TaskCounts:
     failures: int
     has_run: bool
 
+    def as_json(self) -> dict[str, int]:
+        """Return them as programs get them."""
+        return {"plans": self.plans, "replans": self.replans, "requests": self.requests, "failures": self.failures}
+
     def __str__(self) -> str:
         planned = ((self.plans, "plan"), (self.replans, "replan")) if self.plans or not self.has_run else ()
         return ", ".join(counted(number, word) for number, word in (*planned, (self.requests, "request"), (self.failures, "failure")))
@@ -164,6 +168,7 @@ class TaskResult:
             "reason": self.reason,
             "plans": self.plans,
             "replans": self.replans,
+            "requests": self.counts.requests,
             "calls": [
                 {
                     "action": result.call.action.name,
