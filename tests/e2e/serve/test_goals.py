@@ -7,9 +7,11 @@ from pathlib import Path
 
 import pytest
 
-from tests.support.e2e.deployment import SimulationProgram
+from planner_bridge.view.follow import Reader
+from tests.support.e2e.deployment import RunProgram, SimulationProgram
 from tests.support.e2e.plan_deployment import ABORTED, CANCELED, SUCCEEDED, ClientProgram, PlanDeployment, Serving
 from tests.support.e2e.task_node import DOMAIN, PAGE, PROBLEM, goals
+from tests.support.files import ROOT
 from tests.support.processes import Program
 
 
@@ -70,3 +72,22 @@ def test_the_client_of_the_page_cancels_what_takes_too_long(served, robots, tmp_
     starts = [one["action"] for one in robots.objects() if one["event"] == "start"]
     ends = [one["action"] for one in robots.objects() if one["event"] == "end"]
     assert sorted(starts) == sorted(ends), "what was under way has confirmed that it is cancelled"
+
+
+def test_run_status_history_and_page_of_a_node_count_alike_and_have_one_word_for_a_state(deployment: PlanDeployment) -> None:
+    domain, problem = (str(ROOT / folder / "delivery" / file) for folder, file in (("domains", "domain.pddl"), ("problems", "p01.pddl")))
+    faults = str(ROOT / "problems" / "delivery" / "faults.yaml")
+    deployment.pnm(SimulationProgram, "simulate", domain, problem, "--faults", faults).ready()
+    journal = deployment.folder / "node.journal"
+    node = deployment.pnm(Serving, "serve", domain, problem, "--journal", str(journal)).ready()
+    ended = deployment.pnm(RunProgram, "goal", "--json").result()[1]
+    (status,) = deployment.pnm(RunProgram, "status", "--json").result()[1]["tasks"]
+    node.stop()
+    history = deployment.pnm(RunProgram, "history", "-v", "--json", str(journal)).result()[1]
+    (page,) = Reader(journal).newest().tasks.values()
+    assert {status["state"], page["state"]} == {"over"}
+    assert {history["code"], page["code"], status["code"]} == {"goal_reached"}
+    assert {history["reason"], page["reason"], status["reason"]} == {ended["message"] or status["reason"]}
+    assert {status["replans"], history["counts"]["replans"], len(history["replanned"]), ended["replans"]} == {status["replans"]}
+    assert status["replans"] > 0, "a way is blocked"
+    assert page["counts"] == ", ".join(f"{number} {name[: None if number != 1 else -1]}" for name, number in history["counts"].items())
