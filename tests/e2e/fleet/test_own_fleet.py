@@ -183,11 +183,14 @@ def test_poses_come_from_where_the_robot_is_and_from_a_file_with_a_map(newcomer:
     folder = newcomer.project.folder
     (folder / "poses.yaml").write_text(LINES)
     several = newcomer.pnm("pose", "add", "depot", "--bindings", "poses.yaml")
-    assert (several.returncode, "/r1/pose, /r2/pose" in several.stderr) == (2, True), several.stderr
+    assert (several.returncode, "/r1/amcl_pose, /r1/pose, /r2/amcl_pose" in several.stderr) == (2, True), several.stderr
     added = newcomer.pnm("pose", "add", "depot", "--topic", "/r1/pose", "--bindings", "poses.yaml")
     assert added.returncode == 0, added.stderr
     row = "{header: {frame_id: map}, pose: {position: {x: 0.000, y: 0.000}, orientation: {z: 0.0000, w: 1.0000}}}"
     assert (folder / "poses.yaml").read_text() == LINES.replace("# the end", f"          depot: {row}\n# the end")
+    latched = newcomer.pnm("pose", "add", "store", "--topic", "/r2/amcl_pose", "--bindings", "poses.yaml")
+    assert latched.returncode == 0, latched.stderr
+    assert f"store: {row}   # by the door\n" in (folder / "poses.yaml").read_text()
     (folder / "map.pgm").write_bytes(b"P5\n# a comment\n200 100\n255\n")
     (folder / "map.yaml").write_text("image: map.pgm\nresolution: 0.1\norigin: [-1.0, -1.0, 0.0]\n")
     (folder / "places.yaml").write_text("hall: [4.0, 0.0, 1.5708]\nlab: {pixel: [90, 69]}\n")

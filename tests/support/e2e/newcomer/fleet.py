@@ -18,11 +18,12 @@ from pathlib import Path
 from typing import Any, Final
 
 import rclpy
-from geometry_msgs.msg import PoseStamped
+from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped
 from porter_msgs.action import Grip, NavigateToPose
 from rclpy.action import ActionServer, CancelResponse
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.executors import ExternalShutdownException, MultiThreadedExecutor
+from rclpy.qos import DurabilityPolicy, QoSProfile
 from std_msgs.msg import Bool, Float32, String
 
 from tests.support.processes import say, say_json
@@ -46,6 +47,9 @@ class Robot:
             self.node.create_publisher(*about, 10)
             for about in ((String, "place"), (Float32, "battery"), (Bool, "/lab_door"), (PoseStamped, "pose"))
         ]
+        once = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+        self.amcl = self.node.create_publisher(PoseWithCovarianceStamped, "amcl_pose", once)
+        self.arrive()
         self.node.create_timer(SECONDS / 5, self.report, callback_group=group)
 
     def told(self, word: str, default: Any = None) -> Any:
@@ -60,6 +64,13 @@ class Robot:
         here.header.frame_id, here.pose.orientation.w = "map", 1.0
         here.pose.position.x, here.pose.position.y = PLACES[self.place]
         pose.publish(here)
+
+    def arrive(self) -> None:
+        """Say where it is as Nav2 does: once, for whoever comes later."""
+        here = PoseWithCovarianceStamped()
+        here.header.frame_id, here.pose.pose.orientation.w = "map", 1.0
+        here.pose.pose.position.x, here.pose.pose.position.y = PLACES[self.place]
+        self.amcl.publish(here)
 
     def drive(self, handle: Any) -> NavigateToPose.Result:
         return self.move(handle, "")
@@ -86,6 +97,7 @@ class Robot:
             return NavigateToPose.Result(error_code=NavigateToPose.Result.UNKNOWN, error_msg=through or "no such place")
         if not self.told(f"{self.name}/lies"):
             self.place = wanted
+            self.arrive()
         say_json({"robot": self.name, "says": wanted, "is": self.place})
         handle.succeed()
         return NavigateToPose.Result()
