@@ -126,6 +126,11 @@ class ServerModel:
         """The names of its actions."""
         return tuple([schema.name for schema, _ in self.choices])
 
+    @property
+    def answered(self) -> dict[str, str]:
+        """Nothing: PDDL says nothing of the fields of results."""
+        return {}
+
     def decode(self, data: Mapping[str, object]) -> GroundAction:
         """Return the action of a goal, by `action`, field names, or its goal mapping backwards; raise an `InputError` if none fits."""
         planned = data.get("duration")
@@ -199,6 +204,11 @@ class PlanServerModel:
         """The names of its actions."""
         return tuple(dict.fromkeys(action.name for action in self.actions))
 
+    @property
+    def answered(self) -> dict[str, str]:
+        """The fields of results that are in the plans, each with its action."""
+        return {name: action.name for action in self.actions for name, _ in action.returns}
+
     def decode(self, data: Mapping[str, object]) -> GroundAction:
         """Return the call of a goal, by `action` and the fields of the goal; raise an `InputError` if none fits."""
         named, listed = data.get("action"), data.get("arguments")
@@ -242,13 +252,15 @@ M = TypeVar("M", bound=ServerModel | PlanServerModel)
 
 def fitted(model: M) -> M:
     """Return the model with its bindings fitted to its server's type, constants by value; raise an `InputError` if one does not fit."""
-    from pnm.ros.node.messages import fitted_binding, import_type  # needs rclpy, which is an extra
+    from pnm.ros.node.messages import fields, fitted_binding, import_type  # needs rclpy, which is an extra
 
     bound = dict(model.bindings.actions)
     for name in model.names:
         binding = model.bindings.of(name)
         try:
             bound[name] = fitted_binding(binding, import_type(model.type))
+            if absent := [one for one, its in model.answered.items() if its == name and one not in fields(import_type(model.type).Result)]:
+                raise InputError(f"a result of {model.type} has no field {absent[0]}, which the action has under 'simulated'")
         except InputError as error:
             advice = "" if binding.type else f"; without a 'type' in its binding, {model.server} is played as a {model.type}"
             raise InputError(f"{name}: {error.message}{advice}", binding.position) from error

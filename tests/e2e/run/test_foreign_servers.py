@@ -112,6 +112,10 @@ def test_hand_written_plans_are_rehearsed_over_ros(deploy) -> None:
     unknown = deployment.pnm(Program, "simulate", *plan)
     assert unknown.ended() == 2
     assert "the server /{robot}/look of look depends on robot, which is not known; give --set robot=…" in unknown.err[-1]
+    answers = ROUND.replace("retries: 1", "simulated: {place: hall}")
+    silent = deployment.pnm(Program, "simulate", "--plan", str(written(deployment.folder / "told.yaml", answers)), "--set", "robot=r1")
+    assert silent.ended() == 2
+    assert "a result of pnm_interfaces/action/GroundAction has no field place, which the action has under 'simulated'" in silent.err[-1]
     options = ["--faults", str(deployment.folder / "faults.yaml"), "--log", "/dev/stdout"]
     simulation = deployment.pnm(SimulationProgram, "simulate", *plan, "--set", "robot=r1", *options).ready()
     assert deployment.pnm(Program, "check", *plan, "--set", "robot=r1", "--wait", "30").ended() == 0
