@@ -11,12 +11,13 @@ import hmac
 import json
 import re
 import socket
+import sys
 from collections.abc import AsyncIterator, Awaitable, Callable, Mapping
 from contextlib import suppress
-from dataclasses import dataclass, field, fields
+from dataclasses import asdict, dataclass, field, fields
 from functools import partial
 from itertools import count
-from pathlib import Path
+from pathlib import Path, PurePath
 from typing import TYPE_CHECKING, Any, Final, TypeVar
 from uuid import UUID, uuid4
 
@@ -28,13 +29,15 @@ from starlette.routing import Mount, Route
 from starlette.staticfiles import StaticFiles
 from starlette.types import ASGIApp, Receive, Scope, Send
 
-from planner_bridge.explanations.history import RunHistory
+from planner_bridge.explanations.history import JournalHistory, RunHistory
 from planner_bridge.pipeline.odds import NOTHING_KNOWN, KnownRobots
 from planner_bridge.view.follow import Feed, Reader
 from planner_bridge.view.serving import MAX_TEXT, Controlled, Reply
-from planner_bridge.view.story import Followed, Story, Thing, View, detail, view_of
+from planner_bridge.view.story import Followed, Story, Thing, View, detail, named, view_of
 from pnm.core.knowledge_base import KnowledgeBase
-from pnm.core.pictures.plan_picture import plan_svg
+from pnm.core.logic.expressions import fluent_text
+from pnm.core.machine.plan_graph import Flow, PlanGraph
+from pnm.core.pictures.plan_picture import held, laid_out, words_of
 from pnm.errors import InputError, PnmError, printable
 from pnm.files.database.place import Place
 
@@ -86,6 +89,7 @@ class ViewApp:
         self._control = control
         self._metrics: Metrics | None = None
         """Those that somebody has asked for."""
+        self._name = PurePath(str(place).partition("?")[0]).stem
         self._key = uuid4().hex
         """Of this journal as this process reads it: numbers of records that a browser has from elsewhere mean nothing here."""
         routes = [
@@ -93,8 +97,9 @@ class ViewApp:
             Route("/state", partial(self._told, tell=lambda story: self._frame(None, view_of(story)))),
             Route("/call", partial(self._told_of_call, tell=detail)),
             Route("/why", self._why),
-            Route("/picture", partial(self._picture, tell=lambda _, run: run.source.plan, draw=partial(plan_svg, style=""))),
-            Route("/policy", partial(self._picture, tell=Followed.by, draw=Followed.picture)),
+            Route("/plan", partial(self._of_run, tell=lambda _, run: run.source.plan, response=lambda plan: ShownResponse(drawn(plan)))),
+            Route("/policy", partial(self._of_run, tell=Followed.by, response=_policy)),
+            Route("/day", self._day),
             Route("/events", self._events),
             Route("/metrics", self._numbers),
             Route("/control", control.look),
@@ -136,6 +141,13 @@ class ViewApp:
         except PnmError as error:
             return _refused(str(error), 503)
 
+    async def _day(self, request: Request) -> Response:
+        """Answer with all tasks of the journal, read anew: this is asked by people, now and then."""
+        try:
+            return ShownResponse(await asyncio.to_thread(day_of, self._place))
+        except PnmError as error:
+            return _refused(str(error), 409)
+
     async def _projected(self) -> KnowledgeBase:
         """Return the world as it will be when what is under way has ended."""
         from planner_bridge.model.progression import projected_state  # here, because it takes its time to import
@@ -158,23 +170,26 @@ class ViewApp:
             return _refused(f"expected call=RUN/NUMBER, found {_quoted(request.query_params.get('call', ''))}", 400)
         return await self._told(request, lambda story: tell(story, UUID(run), number), response)
 
-    async def _picture(self, request: Request, tell: Callable[[Story, RunHistory], T | None], draw: Callable[[T], str]) -> Response:
-        """Answer with a picture of a run that has begun by a record."""
+    async def _of_run(self, request: Request, tell: Callable[[Story, RunHistory], T | None], response: Callable[[T], Response]) -> Response:
+        """Answer with what is told of a run that has begun by a record."""
 
         def told(story: Story) -> T | None:
             chosen = {id.hex: run for id, run in story.runs.items()}.get(request.query_params.get("run", ""))
             return None if chosen is None else tell(story, chosen)
 
-        return await self._told(request, told, lambda found: Response(draw(found), media_type="image/svg+xml"))
+        return await self._told(request, told, response)
 
     async def _told(
         self, request: Request, tell: Callable[[Story], T | None], response: Callable[[T], Response] = ShownResponse
     ) -> Response:
-        """Answer with what is told after the record that the request names."""
-        number = _number(request.query_params.get("at", ""))
-        if number is None:
+        """Answer with what is told after the record that the request names, or after the last one by a time."""
+        number, time = _number(request.query_params.get("at", "")), request.query_params.get("time", "")
+        if number is None and not re.fullmatch(r"-?\d{1,15}(\.\d{1,20})?", time):
             return _refused(f"expected at=NUMBER, found {_quoted(request.query_params.get('at', ''))}", 400)
         try:
+            if number is None:
+                newest = (await self._feed.newest()).number
+                number = await self._feed.asked(newest, lambda story: story.record_at(float(time)), self._past) or 0
             told = await self._feed.asked(number, tell, self._past)
             if told is None:
                 return _refused(f"there is nothing of that after record {number}", 404)
@@ -204,7 +219,7 @@ class ViewApp:
         return StreamingResponse(stream(), media_type="text/event-stream")
 
     def _frame(self, before: View | None, after: View) -> dict[str, Any]:
-        return {"journal": self._key, **frame(before, after)}
+        return {"journal": self._key, "name": self._name, "host": socket.gethostname(), **frame(before, after)}
 
 
 class _Guarded:
@@ -232,6 +247,40 @@ class _Guarded:
         elif given.get("origin", f"http://{given['host']}") not in {f"http://{host}" for host in hosts}:
             app = _refused("only its own page may ask here", 403)
         await app(scope, receive, guarded)
+
+
+def _policy(followed: Followed) -> Response:
+    return Response(followed.picture(), media_type="image/svg+xml")
+
+
+def day_of(place: Place) -> list[dict[str, Any]]:
+    """Return the tasks of a journal in times of day, with when each robot was at work for them, as JSON."""
+    history = JournalHistory.read(place)
+    told = []
+    for id, task in history.tasks.items():
+        clock, busy = task.accepted.wall - task.time, dict[str, list[tuple[float, float]]]()
+        for run in task.runs:
+            for attempt in (history.attempts[request] for sent in run.sent.values() for request in sent):
+                end = clock + (history.time if attempt.ended is None else attempt.ended)
+                busy.setdefault(run.lane(attempt.action), []).append((clock + attempt.sent, end))
+        ended = None if task.ended is None else clock + task.ended
+        own = {"id": id.hex, "accepted": task.accepted.wall, "ended": ended, "busy": busy, "replans": task.counts.replans}
+        told.append({**named(task), **own, "code": task.ending.code.word if task.ending else "", "reason": task.reason})
+    return [{**task, "seconds": (task["ended"] or task["accepted"]) - task["accepted"]} for task in told]
+
+
+def drawn(plan: PlanGraph) -> list[dict[str, Any]]:
+    """Return where the steps of a plan stand, and their arrows, as JSON: first those of the plan, then what its steps hold."""
+    flows = [("", plan.flow), *((name, flow) for step in plan.every_step for name, flow in held(step))]
+    return [{"name": name, **_laid_out(flow)} for name, flow in flows]
+
+
+def _laid_out(flow: Flow) -> dict[str, Any]:
+    layout = laid_out(flow, sys.maxsize)
+    cells = [
+        {"step": index, "column": cell.column, "row": cell.row, **words_of(cell.step)._asdict()} for index, cell in layout.cells.items()
+    ]
+    return {"cells": cells, "arrows": [{**asdict(arrow), "protects": [*map(fluent_text, arrow.protects)]} for arrow in layout.arrows]}
 
 
 def _number(text: str) -> int | None:

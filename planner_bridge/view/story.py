@@ -10,6 +10,8 @@ still want to see it then.
 from __future__ import annotations
 
 import json
+from array import array
+from bisect import bisect_right
 from collections import Counter
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field
@@ -44,8 +46,6 @@ if TYPE_CHECKING:
     from planner_bridge.planning.policies.net import PolicyRun
     from planner_bridge.planning.policies.policy import Policy
 
-EVENTS: Final = 200
-"""Records that are shown in words, besides those that are marked."""
 SEGMENTS: Final = 2
 """The number of segments that it reaches back to."""
 
@@ -65,7 +65,7 @@ class View:
         calls: by run and number.
         hands: by name, the robots and other things that people have in their hands.
         troubles: by record, and their number in it.
-        events: by record: the last ones, and all that are marked.
+        events: by record: what is marked, and what people did; all else is told of the other things.
     """
 
     number: int = 0
@@ -97,6 +97,8 @@ class Story(JournalHistory):
         self.events: dict[int, Thing] = {}
         self.clock: float | None = None
         """The time of day when the clock of the records was 0, as long as one process writes them."""
+        self._times = array("d")
+        """Of the records so far."""
         self._questions: dict[str, Thing] = {}
         """Those of runs."""
         self._shown: dict[str, tuple[object, Thing]] = {}
@@ -113,7 +115,9 @@ class Story(JournalHistory):
     def questions(self) -> dict[str, Thing]:
         """The questions that are open: those of runs, and those to a person about tasks."""
         about_tasks = {
-            help.asked.question.hex: _question("a person", help.asked.text, task.name, help.since, help.asked.choices)
+            help.asked.question.hex: _question(
+                "a person", help.asked.text, task.name, help.since, task.accepted.wanted.id, help.asked.choices
+            )
             for task in self.tasks.values()
             for help in task.helps.values()
         }
@@ -125,10 +129,15 @@ class Story(JournalHistory):
         step = self.execute()
         assert step is not None, "this record was executed"
         self._tell(step)
-        self.events[number] = {"time": self.time, "lines": words(step, self.replay), "mark": self._mark(record)}
-        if (old := self.events.get(number - EVENTS)) and not old["mark"]:
-            del self.events[number - EVENTS]
+        mark, is_said = self._mark(record), isinstance(record, records.HandPut | records.TaskHeld)
+        if mark or is_said:
+            self.events[number] = {"time": self.time, "lines": words(step, self.replay) if is_said else (), "mark": mark}
+        self._times.append(self.time)
         return step
+
+    def record_at(self, time: float) -> int:
+        """Return the last record by a time; the first one if it is earlier."""
+        return max(self.number - len(self._times) + max(bisect_right(self._times, time), 1), self.first, 1)
 
     def once(self, key: str, made_of: object, show: Callable[[], Thing]) -> Thing:
         """Return what is shown of a thing: what was shown last, if its sources are the same."""
@@ -195,14 +204,14 @@ class Story(JournalHistory):
                 self._questions.pop(id.hex, None)
             case _:
                 pass
-        name = self.runs[run].made.name
+        made = self.runs[run].made
         for command in step.commands:
             match command:
                 case Ask(id, question) if question.layer is Layer.PERSON:
-                    text = f"{question.name}: {_said(question.meta)}" if _said(question.meta) else question.name
-                    self._questions[id.hex] = _question("a person", text, name, self.time)
+                    text = _said(question.meta) or question.name
+                    self._questions[id.hex] = _question("a person", text, made.name, self.time, made.task)
                 case Ask(id, question):
-                    self._questions[id.hex] = _question("a source of knowledge", str(question), name, self.time)
+                    self._questions[id.hex] = _question("a source of knowledge", str(question), made.name, self.time, made.task)
                 case Withdraw(id):
                     self._questions.pop(id.hex, None)
                 case _:
@@ -229,9 +238,9 @@ class Story(JournalHistory):
         }
 
 
-def _question(who: str, text: str, subject: str, since: float, choices: tuple[str, ...] = ()) -> Thing:
-    """Return an open question: who is asked, what, on whose behalf, since when, and the answers to choose from; none for any."""
-    return {"who": who, "text": text, "subject": subject, "since": since, "choices": choices}
+def _question(who: str, text: str, subject: str, since: float, task: UUID | None, choices: tuple[str, ...] = ()) -> Thing:
+    """Return an open question: who is asked, what, for which task, since when, and the answers to choose from; none for any."""
+    return {"who": who, "text": text, "subject": subject, "since": since, "task": task.hex if task else "", "choices": choices}
 
 
 def value_words(value: Value | Unknown) -> str:
@@ -295,6 +304,9 @@ def _task(story: Story, task: TaskHistory) -> Thing:
     wanted, used, accepted = task.accepted.wanted, task.used, task.accepted.wall
     return {
         "goal": task.name,
+        **named(task),
+        "time": task.time,
+        "ended": task.ended,
         "state": task.state.word,
         "reason": _reason(task),
         "priority": wanted.priority,
@@ -310,6 +322,13 @@ def _task(story: Story, task: TaskHistory) -> Thing:
     }
 
 
+def named(task: TaskHistory) -> Thing:
+    """Return the text of a task, or its goal as its first plan has it, with its parameters; empty while nobody knows."""
+    wanted, own = task.accepted.wanted, task.own_runs
+    title = wanted.text or (str(own[0].source.plan.goal) if own else "")
+    return {"title": title, "given": {name: str(value) for name, value in wanted.parameters.items()}}
+
+
 def _run(run: RunHistory) -> Thing:
     """Return a run: when it was made, and the time from which its plan counts, None until it begins."""
     return {
@@ -317,6 +336,7 @@ def _run(run: RunHistory) -> Thing:
         "time": run.time,
         "origin": run.origin,
         "is_over": run.is_over,
+        "is_own": run.is_own,
         "replan": run.replan and asdict(run.replan),
         "has_policy": bool(run.policy and run.policy.entries and run.policy.problem),
     }

@@ -1,110 +1,214 @@
-// The plan of a run: the picture that the server draws, with the state of each call by colour and sign.
+// The plan of a run: cards in the order of time, and links that carry the fact that is waited for; and the policy that it is a part of.
 
-import { SIGNS, el, svg, words } from "./words.js";
+import { actionOf, el, fitted, inWords, look, mark, svg, widthOf } from "./words.js";
 
-let drawn = "";
-let drawing = ""; // what is fetched
-let boxes = new Map();
-let keys = new Map(); // of calls, by their numbers
-let shown = new Map(); // the calls as they were shown last
-let marked = ""; // the call that is shown as the chosen one
-const KEY = ["waiting", "running", "succeeded", "failed", "skipped"];
+const CARD = [128, 44], GAP = 88, ROW = 72, HEAD = 24, EDGE = 6;
+const $ = (id) => document.getElementById(id);
+let told = null; // the layout of the plan that is shown: {run, sections}
+let asked = ""; // the run whose layout is fetched
+let boxes = new Map(); // the cards that are there, by step
+let shown = ""; // what the cards were drawn for
+let range = [0, 0]; // the columns that are drawn
 
-document.getElementById("plan-key").replaceChildren(...KEY.map((name) => el("span", {}, el("span", { class: "swatch", "data-state": name }, SIGNS[name]), words(name === "succeeded" ? "done" : name))));
+const place = $("picture");
+const columnOf = (pixels) => Math.floor((pixels - EDGE) / (CARD[0] + GAP));
 
-// Draws the plan of a run if it is another one than before; the picture of a run never changes.
-export async function showPlan(model, run, choose) {
-  const place = document.getElementById("picture");
-  if (!run) {
-    drawn = "";
-    boxes = new Map();
-    place.replaceChildren(el("p", { class: "soft" }, "no plan yet"));
+export function watchPlan(redraw) {
+  place.addEventListener("scroll", () => {
+    const [first, last] = sight();
+    if (first < range[0] || last > range[1]) redraw();
+  });
+  new ResizeObserver(redraw).observe(place);
+}
+
+const sight = () => [columnOf(place.scrollLeft), columnOf(place.scrollLeft + place.clientWidth)];
+
+// Asks for the layout of a run, which never changes; returns whether it is there.
+async function fetched(model, run, redraw) {
+  if (asked === run) return;
+  asked = run;
+  const sections = await fetch(`/plan?run=${run}&at=${model.number}`).then((answer) => (answer.ok ? answer.json() : null), () => null);
+  if (asked !== run) return; // another one is wanted by now
+  asked = "";
+  if (!sections) return;
+  told = { run, ...positions(sections), follows: "" };
+  shown = "";
+  redraw();
+}
+
+// Where every step stands, and its links.
+function positions(sections) {
+  const cells = new Map(), links = [], titles = [];
+  let top = 8, columns = 0;
+  for (const { name, cells: own, arrows } of sections) {
+    if (name) {
+      titles.push({ name, y: top });
+      top += HEAD;
+    }
+    for (const cell of own) {
+      cells.set(cell.step, { ...cell, x: EDGE + cell.column * (CARD[0] + GAP), y: top + cell.row * ROW });
+      columns = Math.max(columns, cell.column + 1);
+    }
+    links.push(...arrows.filter((arrow) => !arrow.is_for_the_end));
+    top += (1 + Math.max(-1, ...own.map((cell) => cell.row))) * ROW + (own.length ? 0 : 8);
+  }
+  const port = (mine, others) => {
+    const sides = new Map();
+    for (const link of links) sides.set(link[mine], [...(sides.get(link[mine]) ?? []), link]);
+    for (const side of sides.values()) {
+      side.sort((a, b) => cells.get(a[others]).row - cells.get(b[others]).row);
+      const pitch = Math.min(18, (CARD[1] - 8) / side.length);
+      side.forEach((link, at) => (link[`${mine}Port`] = (at - (side.length - 1) / 2) * pitch));
+    }
+  };
+  port("before", "after");
+  port("after", "before");
+  const occupied = new Set([...cells.values()].map((cell) => `${cell.column} ${cell.y}`));
+  return { cells, links, titles, occupied, width: 2 * EDGE + columns * (CARD[0] + GAP) - GAP, height: Math.max(60, top - ROW + CARD[1] + 14) };
+}
+
+export function showPlan(model, run, number, calls, chosen, choose, redraw) {
+  $("plan").hidden = !run;
+  $("plan-title").textContent = number > 1 ? `Plan ${number}` : "Plan";
+  if (!run) return;
+  showChanges(model.runs.get(run)?.replan);
+  if (told?.run !== run) {
+    fetched(model, run, redraw);
     return;
   }
-  if (drawn === run) drawing = "";
-  else if (drawing !== run) {
-    drawing = run;
-    const text = await fetch(`/picture?run=${run}&at=${model.number}`).then((answer) => (answer.ok ? answer.text() : ""), () => "");
-    if (drawing !== run) return; // another one is wanted by now
-    drawing = "";
-    if (!text) return;
-    const picture = new DOMParser().parseFromString(text, "image/svg+xml").documentElement;
-    picture.style.minWidth = `${Math.min(Number(picture.getAttribute("width")), 1000)}px`; // smaller than that, nobody can read it
-    picture.dataset.run = run;
-    picture.setAttribute("role", "group"); // its calls are buttons, which no image has
-    drawn = run;
-    boxes = new Map([...picture.querySelectorAll("[data-step]")].map((box) => [Number(box.dataset.step), box]));
-    keys = new Map([...boxes.keys()].map((index) => [index, `${run}/${index}`]));
-    shown = new Map();
-    marked = "";
-    for (const [index, box] of boxes) {
-      box.setAttribute("tabindex", "0");
-      box.setAttribute("role", "button");
-      box.addEventListener("click", () => choose(`${run}/${index}`));
-      box.addEventListener("keydown", (key) => {
-        if (key.key === "Enter" || key.key === " ") {
-          key.preventDefault();
-          choose(`${run}/${index}`);
-        }
-      });
-    }
-    const drawable = picture.localName === "svg" && !picture.querySelector("parsererror");
-    const why = drawable ? "nothing is to be done: the plan has no calls" : "the picture of the plan cannot be drawn by this browser";
-    place.replaceChildren(drawable && boxes.size ? document.adoptNode(picture) : el("p", { class: "soft" }, why));
+  const states = new Map(calls.map(([, call]) => [call.index, call]));
+  if (!told.cells.size) {
+    place.replaceChildren(el("p", { class: "dim" }, "nothing is to be done: the plan has no calls"));
+    return;
   }
+  keepInSight(states);
+  const [first, last] = sight();
+  const added = new Set(model.runs.get(run)?.replan?.added ?? []);
+  if (shown !== run || first < range[0] || last > range[1]) {
+    range = [first - 6, last + 6];
+    shown = run;
+    draw(run, choose, added);
+  }
+  for (const [step, box] of boxes) showState(box, step, states.get(step), `${run}/${step}` === chosen);
+  for (const link of place.querySelectorAll("[data-from]")) link.classList.toggle("on", states.get(Number(link.dataset.from))?.state === "running");
 }
+
+// Follows what runs, unless somebody looks elsewhere.
+function keepInSight(states) {
+  const now = [...states.values()].filter((call) => call.state === "running" || call.state === "failed").map((call) => call.index).sort().join(" ");
+  if (told.follows === now || place.matches(":hover, :focus-within")) return;
+  told.follows = now;
+  const xs = now ? now.split(" ").map((step) => told.cells.get(Number(step))?.x ?? 0) : [];
+  if (!xs.length) return;
+  const [left, right] = [Math.min(...xs), Math.max(...xs) + CARD[0]];
+  if (left >= place.scrollLeft && right <= place.scrollLeft + place.clientWidth) return;
+  if (!place.firstElementChild || place.firstElementChild.clientWidth < told.width) draw("", () => {}, new Set()); // so that there is room to scroll
+  place.scrollLeft = Math.max(0, left - CARD[0] - GAP);
+}
+
+function draw(run, choose, added) {
+  const isNear = (cell) => cell.column >= range[0] && cell.column <= range[1];
+  const focused = document.activeElement?.dataset?.step;
+  boxes = new Map();
+  const links = told.links.filter((link) => told.cells.get(link.before).column <= range[1] && told.cells.get(link.after).column >= range[0]);
+  const drawn = links.map(linkOf);
+  const cards = [...told.cells.values()].filter(isNear).sort((a, b) => a.column - b.column || a.row - b.row).map((cell) => cardOf(cell, run, choose, added));
+  const picture = svg("svg", { class: "g", width: told.width, height: told.height, viewBox: `0 0 ${told.width} ${told.height}`, role: "group", "data-run": run },
+    ...told.titles.map(({ name, y }) => svg("text", { class: "td", x: EDGE, y: y + 14 }, name)), ...drawn.map((each) => each.line), ...drawn.flatMap((each) => each.text), ...cards);
+  place.replaceChildren(picture);
+  if (focused !== undefined) boxes.get(Number(focused))?.focus({ preventScroll: true });
+}
+
+function linkOf(link) {
+  const [a, b] = [told.cells.get(link.before), told.cells.get(link.after)];
+  const [x1, y1, x2, y2] = [a.x + CARD[0], a.y + CARD[1] / 2 + link.beforePort, b.x, b.y + CARD[1] / 2 + link.afterPort];
+  const isFar = b.column > a.column + 1;
+  const isBlocked = isFar && Array.from({ length: b.column - a.column - 1 }, (_, at) => `${a.column + 1 + at} ${b.y}`).some((key) => told.occupied.has(key));
+  const channel = b.y + (b.y <= a.y && b.y !== a.y ? CARD[1] + 20 : -8);
+  const middle = x1 + GAP / 2;
+  const d = isBlocked ? `M${x1} ${y1}C${x1 + 30} ${y1} ${x1 + 14} ${channel} ${x1 + 46} ${channel}H${x2 - 46}C${x2 - 14} ${channel} ${x2 - 30} ${y2} ${x2 - 5} ${y2}`
+    : `M${x1} ${y1}C${middle} ${y1} ${middle} ${y2} ${Math.min(middle + GAP / 2, x2) - 5} ${y2}H${x2 - 5}`;
+  const facts = link.protects.map(inWords).join(", ");
+  const line = svg("g", { "data-from": link.before, class: "link" }, svg("title", {}, facts || `#${link.before} before #${link.after}`), svg("path", { class: "lk", d }), svg("path", { class: "tip", d: `M${x2 - 6} ${y2 - 3.5}L${x2} ${y2}L${x2 - 6} ${y2 + 3.5}z` }));
+  return { line, text: isBlocked ? factOf(link, (x1 + x2 - GAP) / 2, channel, channel, true) : factOf(link, x1, y1, y2) };
+}
+
+// The fact on a link, whole or cut: above a level one, on a chip where it slants. Bookkeeping gives way to another fact of the same link.
+function factOf(link, x1, y1, y2, isDetour = false) {
+  const facts = [...link.protects].sort((a, b) => /^\((free|idle|ready|empty|available)\b/.test(a) - /^\((free|idle|ready|empty|available)\b/.test(b));
+  if (!facts.length) return [];
+  const more = facts.length > 1 ? ` +${facts.length - 1}` : "";
+  const text = `${fitted(inWords(facts[0]), GAP - 6 - widthOf(more))}${more}`;
+  const title = svg("title", {}, facts.map(inWords).join("\n"));
+  if (Math.abs(y1 - y2) < 4) return [svg("text", { class: "td fact", x: x1 + GAP / 2, y: link.beforePort > 0 && !isDetour ? y1 + 15 : y1 - 5, "text-anchor": "middle" }, text, title)];
+  const [wide, y] = [widthOf(text) + 6, (y1 + y2) / 2];
+  return [svg("rect", { class: "chip", x: x1 + GAP / 2 - wide / 2, y: y - 9, width: wide, height: 18 }), svg("text", { class: "td fact", x: x1 + GAP / 2, y: y + 4, "text-anchor": "middle" }, text, title)];
+}
+
+function cardOf(cell, run, choose, added) {
+  const isAdded = added.has(cell.whole.split(", planned at")[0].replace(/#\d+$/, "")) || added.has(`${cell.name}(${cell.what})`);
+  const box = svg("g", { "data-step": cell.step, tabindex: 0, role: "button", class: isAdded ? "added" : "" }, svg("title", {}, cell.whole),
+    svg("rect", { class: "ring", x: cell.x - 3.5, y: cell.y - 3.5, width: CARD[0] + 7, height: CARD[1] + 7, rx: 9 }),
+    svg("rect", { class: "card", x: cell.x + 0.5, y: cell.y + 0.5, width: CARD[0] - 1, height: CARD[1] - 1, rx: 6 }), svg("g", { class: "badge" }));
+  if (isAdded) box.append(svg("rect", { class: "badge-cut", x: cell.x + CARD[0] - 22, y: cell.y - 7, width: 18, height: 14, rx: 7 }), mark("add", cell.x + CARD[0] - 19, cell.y - 6, "on-cut"));
+  const act = () => choose(`${run}/${cell.step}`);
+  box.addEventListener("click", act);
+  box.addEventListener("keydown", (key) => {
+    if (key.key !== "Enter" && key.key !== " ") return;
+    key.preventDefault();
+    act();
+  });
+  boxes.set(cell.step, box);
+  return box;
+}
+
+function showState(box, step, call, isChosen) {
+  box.classList.toggle("chosen", isChosen);
+  const cell = told.cells.get(step);
+  const looks = call ? `${call.state} ${call.attempts} ${call.outcome}` : "step";
+  if (box.dataset.looks === looks) return;
+  box.dataset.looks = looks;
+  const [sign, colour, word] = look(call?.state ?? "waiting");
+  if (call) box.dataset.state = call.state;
+  box.setAttribute("aria-label", call ? `${call.action}: ${call.outcome}${call.attempts > 1 ? `, attempt ${call.attempts}` : ""}` : `${cell.name} ${cell.what}`);
+  const { who, objects } = call ? actionOf(call.action, call.lane) : { who: "", objects: [cell.what] };
+  const isOwn = call && call.lane !== call.action.split("(")[0];
+  const again = call?.attempts > 1 ? `${call.attempts}× ` : "";
+  const declared = call && !["waiting", word, call.state, "running", "aborted"].includes(call.outcome) && call.state === "succeeded" ? call.outcome : "";
+  const second = again + [isOwn ? who : "", declared || objects.slice(-2).join(" → ")].filter(Boolean).join(" · ");
+  box.querySelector(".badge").replaceChildren(mark(sign, cell.x + 8, cell.y + 9, colour),
+    svg("text", { class: "tn", x: cell.x + 25, y: cell.y + 19 }, fitted(cell.name.replaceAll("_", " "), CARD[0] - 40, true)), svg("text", { class: "td", x: cell.x + 8, y: cell.y + 36 }, fitted(second, CARD[0] - 14)));
+  box.classList.toggle("glow", call?.state === "running");
+}
+
+// What a new plan has kept, dropped and added.
+function showChanges(replan) {
+  const looks = JSON.stringify(replan ?? null);
+  if ($("changes").dataset.looks === looks) return;
+  $("changes").dataset.looks = looks;
+  const part = (colour, sign, word, calls) => (calls.length ? el("span", { class: `pill ${colour}`, title: calls.join("\n") }, el("span", { "aria-hidden": "true" }, sign), `${calls.length} ${word}`) : "");
+  $("changes").replaceChildren(...(replan ? [part("dim", "=", "kept", replan.kept), part("bad", "−", "dropped", replan.dropped), part("cut", "+", "added", replan.added)].filter(Boolean) : [el("small", { class: "np" }, "links carry the fact that is waited for")]));
+}
+
+// --- the policy ---
 
 let followed = ""; // what the policy that is shown, or asked for, was made of
 
 // Draws the policy of a run, if it follows one, anew whenever a call of its task has become something else.
-export async function showPolicy(model, run) {
-  const whole = document.getElementById("policy");
-  whole.hidden = !model.runs.get(run)?.has_policy;
-  const runs = [...model.tasks.values()].find((task) => task.runs.includes(run))?.runs ?? [run];
-  const calls = [...model.calls].filter(([, call]) => runs.includes(call.run)).map(([key, call]) => [key, call.state, call.outcome]);
-  const made = whole.hidden ? "" : JSON.stringify([run, calls]);
+export async function showPolicy(model, run, way) {
+  const section = $("policy");
+  section.hidden = !model.runs.get(run)?.has_policy;
+  const made = section.hidden ? "" : JSON.stringify([run, way.map(([key, call]) => [key, call.state, call.outcome])]);
   if (followed === made) return;
   followed = made;
   const text = made && (await fetch(`/policy?run=${run}&at=${model.number}`).then((answer) => (answer.ok ? answer.text() : ""), () => ""));
   if (followed !== made) return; // another one is wanted by now
   const parsed = text && new DOMParser().parseFromString(text, "image/svg+xml").documentElement;
   const picture = parsed && parsed.localName === "svg" && !parsed.querySelector("parsererror") && document.adoptNode(parsed);
-  document.getElementById("policy-said").textContent = picture ? picture.querySelector("title").textContent : "the policy cannot be drawn";
-  const place = document.getElementById("policy-picture");
-  place.replaceChildren(...(picture ? [picture] : []));
-  const now = place.querySelector(".now circle")?.cy.baseVal.value ?? place.scrollTop;
-  const isSeen = now >= place.scrollTop && now <= place.scrollTop + place.clientHeight;
-  if (!isSeen && !place.matches(":hover, :focus")) place.scrollTop = now - place.clientHeight / 2; // who looks elsewhere goes on to do so
-}
-
-const boxOf = (run, key) => (key.startsWith(`${run}/`) ? boxes.get(Number(key.slice(run.length + 1))) : undefined);
-
-function badgeOf(box) {
-  const rect = box.querySelector("rect");
-  const [x, y] = [Number(rect.getAttribute("x")) + 12, Number(rect.getAttribute("y")) - 3]; // beside the facts that arrows bring, not on them
-  const badge = svg("g", { class: "badge", "aria-hidden": "true" }, svg("circle", { cx: x, cy: y, r: 9 }), svg("text", { x, y: y + 4 }), svg("text", { x: x + 22, y: y - 4 }));
-  box.append(badge);
-  return badge;
-}
-
-// Shows the states of calls: of those that are other ones than when they were shown last.
-export function showStates(model, run, chosen) {
-  if (drawn !== run) return; // its picture is still to come
-  if (marked !== chosen) {
-    boxOf(run, marked)?.classList.remove("chosen");
-    boxOf(run, chosen)?.classList.add("chosen");
-    marked = chosen;
-  }
-  for (const [index, box] of boxes) {
-    const call = model.calls.get(keys.get(index));
-    if (!call || shown.get(index) === call) continue;
-    const before = shown.get(index);
-    shown.set(index, call);
-    box.setAttribute("aria-label", `${call.action}: ${call.outcome}${call.attempts > 1 ? `, attempt ${call.attempts}` : ""}`);
-    if (before?.state === call.state && before.attempts === call.attempts) continue;
-    box.dataset.state = call.state;
-    const badge = box.querySelector(".badge") ?? badgeOf(box);
-    badge.children[1].textContent = SIGNS[call.state] ?? "·";
-    badge.children[2].textContent = call.attempts > 1 ? `${call.attempts}×` : "";
-  }
+  $("policy-said").textContent = picture ? picture.querySelector("title").textContent : "the policy cannot be drawn";
+  const area = $("policy-picture");
+  area.replaceChildren(...(picture ? [picture] : []));
+  const now = area.querySelector(".now circle")?.cy.baseVal.value ?? area.scrollTop;
+  const isSeen = now >= area.scrollTop && now <= area.scrollTop + area.clientHeight;
+  if (!isSeen && !area.matches(":hover, :focus")) area.scrollTop = now - area.clientHeight / 2; // who looks elsewhere goes on to do so
 }

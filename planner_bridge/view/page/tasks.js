@@ -1,114 +1,144 @@
-// What needs me now: what failed and why, questions to people, and the tasks.
+// The tasks and robots at the left, what needs a person, and the head of the chosen task.
 
-import { answerForm, giveButton, taskButtons, whyNoPlan } from "./controls.js";
-import { timeNow } from "./model.js";
-import { clock, el, keepingFocus, seconds, state, words } from "./words.js";
+import { answerForm, hasNode, taskButtons, whyNoPlan } from "./controls.js";
+import { doneOf, expectedEnd, robotsOf, taskState, titleOf, wayOf } from "./model.js";
+import { actionOf, clock, el, icon, keyed, look, pill, placed, span, statePill, tod, words } from "./words.js";
 
-const NO_PLAN = new Set(["no_plan", "planner_timeout", "replan_limit"]);
+export const NO_PLAN = new Set(["no_plan", "planner_timeout", "replan_limit"]);
+const $ = (id) => document.getElementById(id);
+const SEGMENTS = 48; // so many calls have a segment each; of more, a segment stands for several
 
-// The text of a goal as it was sent: none for that of the problem.
-const goalOf = (shown) => (shown === "the goal of the problem" ? "" : shown);
-
-// Shows them; what can be done about them, if they are those of now.
-export function showTasks(model, isNow) {
-  keepingFocus(() => show(model, isNow));
+export function ordered(model) {
+  return [...model.tasks].sort(([, a], [, b]) => (a.state === "over") - (b.state === "over") || b.priority - a.priority || a.order - b.order);
 }
 
-function show(model, isNow) {
-  const tasks = [...model.tasks.entries()].sort(([, a], [, b]) => (a.state === "over") - (b.state === "over") || b.priority - a.priority || a.order - b.order);
-  left = [];
-  showNeeds(model, tasks, isNow);
+export const questionsOf = (model) => [...model.questions].filter(([, question]) => question.who === "a person");
+
+function segments(way, isAsked) {
+  const size = Math.max(1, Math.ceil(way.length / SEGMENTS));
+  const parts = [];
+  for (let at = 0; at < way.length; at += size) {
+    const colours = way.slice(at, at + size).map(([, call]) => look(call.state)[1]);
+    const first = ["bad", "run", "ask"].find((one) => colours.includes(one)) ?? (colours.every((one) => one === "ok") ? "ok" : "dim");
+    parts.push(el("i", { class: first === "run" && isAsked ? "ask" : first }));
+  }
+  return parts.length ? el("span", { class: "seg", "aria-hidden": "true" }, ...parts) : "";
+}
+
+const looksOf = (way) => way.map(([, call]) => look(call.state)[1][0]).join("");
+
+// What is left of a task, or what it waits for, in a few words.
+function restOf(model, id, task, state, now) {
+  if (state === "asks") return "asks you";
+  if (["paused", "pausing", "planning", "replanning", "queued", "cancelling"].includes(state)) return look(state)[2];
+  const end = expectedEnd(model, id, task, now);
+  return end === null ? "" : `${span(end - now)} left`;
+}
+
+export function showLeft(model, ui, now, chooseTask, choose) {
+  const tasks = ordered(model);
   const open = tasks.filter(([, task]) => task.state !== "over");
-  const over = tasks.filter(([, task]) => task.state === "over").reverse();
-  const shown = open.length ? open : over.slice(0, 1);
-  const others = over.filter((entry) => !shown.includes(entry));
-  const list = document.getElementById("task-list");
-  const wasOpen = list.querySelector("details")?.open;
-  list.replaceChildren(...shown.map((entry) => taskOf(model, isNow, ...entry)));
-  if (!tasks.length) list.append(el("p", { class: "soft" }, "no tasks yet"));
-  if (others.length) {
-    const more = el("details", {}, el("summary", {}, `${others.length} more that ${others.length > 1 ? "are" : "is"} over`), ...others.map((entry) => taskOf(model, isNow, ...entry)));
-    more.open = Boolean(wasOpen);
-    list.append(more);
+  const asks = questionsOf(model).length;
+  const said = asks ? `${asks} need${asks > 1 ? "" : "s"} you` : "nothing needs you";
+  if ($("pill").dataset.said !== said) {
+    $("pill").dataset.said = said;
+    $("pill").replaceChildren(asks ? pill("ask", "ask", said) : pill("ok", "ok", said));
   }
+  const entries = open.map(([id, task]) => {
+    const state = taskState(model, id, task);
+    const [sign, colour, word] = look(state);
+    const way = wayOf(model, id, task);
+    const [title, rest, done] = [titleOf(task), restOf(model, id, task, state, now), way.length ? `${doneOf(way)}/${way.length}` : ""];
+    const looks = [title, state, rest, looksOf(way), ui.task === id].join("\n");
+    return [id, looks, { class: "it", "data-task": id, "data-how": state, "aria-current": ui.task === id && !ui.day ? "true" : null, title: task.title }, () => [
+      icon(sign, colour), el("span", { class: "el" }, el("span", { class: "l1" }, el("b", { class: "el" }, title), el("span", { class: "sr" }, word)),
+        el("span", { class: "l2" }, segments(way, state === "asks"), el("span", {}, done), el("span", { class: "sp" }), el("span", { class: `el ${state === "asks" ? "ask" : ""}` }, rest)))]];
+  });
+  keyed($("task-list"), "button", entries, chooseTask);
+  if (!open.length) placed($("task-list"), [el("p", { class: "empty" }, tasks.length ? "No task runs or waits." : "No tasks yet.")]);
+  showRobots(model, ui, now, choose);
+  const over = tasks.filter(([, task]) => task.state === "over").sort(([, a], [, b]) => b.ended - a.ended);
+  $("over-part").hidden = !over.length;
+  keyed($("over"), "button", over.slice(0, 12).map(([id, task]) => {
+    const [sign, colour, word] = look(task.code);
+    const [title, at] = [titleOf(task), tod(model, task.ended, false)];
+    return [id, [title, at, task.code, ui.task === id].join("\n"), { class: "it one", "data-task": id, "data-how": task.code, "aria-current": ui.task === id && !ui.day ? "true" : null, title: `${task.title}: ${word}` },
+      () => [icon(sign, colour), el("span", { class: "l2" }, el("span", { class: "el" }, title), el("span", { class: "sp" }), el("span", {}, at))]];
+  }), chooseTask);
 }
 
-function taskOf(model, isNow, id, task) {
-  const facts = [`accepted at ${clock(task.accepted)}`];
-  if (task.counts) facts.push(task.counts);
-  if (task.priority) facts.push(`priority ${task.priority}`);
-  if (task.deadline !== null) facts.push(`has to be done by ${clock(task.deadline)}`);
-  if (task.limit !== null) facts.push(`${seconds(task.used, 1)} of ${seconds(task.limit, 0)} used`);
-  const how = task.code || task.state;
-  const word = task.code === "goal_reached" ? "✓ goal reached" : task.code ? words(task.code) : words(task.state);
-  return el("div", { class: "task", "data-task": id, "data-how": how },
-    state(task.code && task.code !== "goal_reached" ? "failed" : how, word),
-    el("span", { class: "goal" }, task.goal),
-    el("span", { class: "soft num" }, task.state === "over" ? "over" : ""),
-    task.reason ? el("span", { class: "more reason" }, task.reason) : "",
-    task.odds ? oddsOf(model, isNow, task.odds) : "",
-    el("span", { class: "more" }, facts.join(" · ")),
-    isNow ? taskButtons(id, task) : "",
-    isNow && NO_PLAN.has(task.code) ? whyNoPlan(id, goalOf(task.goal)) : "");
+function showRobots(model, ui, now, choose) {
+  const robots = robotsOf(model);
+  $("robot-count").textContent = robots.length || "";
+  keyed($("robots"), "button", robots.map((robot) => {
+    const [sign, colour, first, second] = robotWords(model, robot, now);
+    const battery = robot.battery === null ? "" : `${Math.round(100 * robot.battery)} %`;
+    const isChosen = ui.sel?.kind === "robot" && ui.sel.key === robot.name;
+    return [robot.name, [sign, colour, ...first, second, battery, isChosen].join("\n"), { class: "it", "data-robot": robot.name, "aria-current": isChosen ? "true" : null, title: `${robot.name}: ${first.join(" ")}` }, () => {
+      const level = el("i");
+      level.style.width = `${Math.round(100 * (robot.battery ?? 0))}%`;
+      return [icon(sign, colour), el("span", { class: "el" }, el("span", { class: "l1" }, el("b", {}, robot.name), el("span", { class: "el" }, first[0], el("span", { class: "dim" }, ` ${first[1]}`))),
+        el("span", { class: "l2" }, el("span", { class: "el" }, second), el("span", { class: "sp" }), battery ? el("span", { class: `bat ${robot.battery < 0.25 ? "low" : ""}` }, level) : "", battery ? el("span", {}, battery) : ""))];
+    }];
+  }), (name) => choose({ kind: "robot", key: name }));
+  if (!robots.length) placed($("robots"), [el("p", { class: "empty" }, "None has done anything yet.")]);
 }
 
-let left = []; // the times that run down
-
-// The chance of the goal and the time to it, and what that rests on.
-function oddsOf(model, isNow, odds) {
-  const text = el("span", { class: "num" });
-  left.push({ model, isNow, odds, text });
-  runDown();
-  return el("span", { class: "more odds" }, el("strong", {}, `${odds.words} `), text,
-    el("span", { class: "soft" }, ` · ${odds.rests_on}`));
-}
-
-function runDown() {
-  for (const { model, isNow, odds, text } of left) {
-    const since = (isNow ? timeNow(model) : model.time) - odds.at;
-    const [median, most] = [odds.seconds.median, odds.seconds.ninety_percent].map((time) => seconds(Math.max(0, time - since), 0));
-    text.textContent = `likely to reach the goal without a new plan, in ${median}; in 90 % of such runs within ${most}`;
+// The sign of a robot, its colour, what it does to what, and what comes next.
+export function robotWords(model, robot, now) {
+  const next = robot.next && actionOf(robot.next.call.action, robot.name);
+  const soon = robot.next?.origin !== null && robot.next?.call.duration !== null && robot.next ? robot.next.origin + robot.next.call.planned - now : 0;
+  const then = next ? `next ${next.name}${soon > 1 ? `, in ${span(soon)}` : ""}` : robot.now ? "nothing after that" : "";
+  if (robot.hand) return ["hand", "ask", ["", robot.hand.replace(/^\S+ is /, "").replace(/ since .*/, "")], then || "nothing is sent to it"];
+  if (robot.now) {
+    const { name, objects } = actionOf(robot.now.call.action, robot.name);
+    return ["run", "run", [name, objects.at(-1) ?? ""], then];
   }
+  if (next) return ["wait", "dim", ["waits", `to ${next.name}`], then];
+  return ["wait", "dim", ["ready", ""], robot.last ? `idle for ${span(now - robot.last.call.ended)}` : ""];
 }
-setInterval(runDown, 500);
 
-// What people may have to do something about: questions, robots in their hands, and troubles that nothing has followed yet.
-function showNeeds(model, tasks, isNow) {
-  const questions = [...model.questions].map(([id, question]) => questionOf(model, isNow, id, question));
-  const troubles = [...model.troubles.values()].sort((a, b) => b.time - a.time);
-  const isOpen = (trouble) => !trouble.followed;
-  const before = troubles.filter((trouble) => !isOpen(trouble));
-  const place = document.getElementById("needs");
-  const wasOpen = place.querySelector("details")?.open;
-  const hands = [...model.hands].map(([name, hand]) => el("div", { class: "need asks", "data-hand": name },
-    el("p", {}, el("strong", {}, `‖ ${hand.words}`), " ", isNow ? giveButton(name) : "")));
-  const needs = [...questions, ...hands, ...troubles.filter(isOpen).map((trouble) => troubleOf(model, trouble, true))];
-  place.replaceChildren(...(needs.length || !tasks.length ? needs : [el("p", { class: "soft" }, "nothing")]));
-  if (before.length) {
-    const more = el("details", {}, el("summary", {}, `${before.length} ${before.length > 1 ? "troubles" : "trouble"} before, and what followed`),
-      ...before.slice(0, 50).map((trouble) => troubleOf(model, trouble, true)));
-    more.open = Boolean(wasOpen);
-    place.append(more);
+// --- what needs a person ---
+
+export function showNeeds(model, isNow) {
+  const questions = questionsOf(model).map(([id, question], place) => {
+    const task = model.tasks.get(question.task);
+    const subject = task ? titleOf(task) : question.subject;
+    const form = isNow ? answerForm(id, question, place === 0) : "";
+    const label = question.choices.includes("yes") ? "Can it be reached?" : undefined; // else help is asked for because there is no plan
+    const why = isNow && question.choices.length && task ? whyNoPlan(id, task.title, label) : "";
+    return el("div", { class: "need asks", "data-question": id }, icon("ask"),
+      el("div", {}, el("p", {}, question.text), el("small", { class: "dim" }, `${subject} · asks since ${tod(model, question.since)}${form ? "" : "; answer with: pnm answer TEXT"}`)), form, why);
+  });
+  placed($("needs"), questions);
+}
+
+// --- the head of a task ---
+
+export function showHead(model, id, now, isNow) {
+  const task = model.tasks.get(id);
+  const place = $("task");
+  if (!task) {
+    placed(place, [el("h2", {}, model.number ? "Nothing has been asked for yet" : "Nothing is known yet")]);
+    return;
   }
-}
-
-function questionOf(model, isNow, id, question) {
-  const form = isNow && question.who === "a person" ? answerForm(id, question) : "";
-  const where = question.who === "a person" && !form ? "; answer at the terminal of pnm run, or on the topic knowledge/answers of pnm serve" : "";
-  const label = question.choices.includes("yes") ? "Can it be reached?" : undefined; // else help is asked for because there is no plan
-  const why = isNow && question.choices.length ? whyNoPlan(id, goalOf(question.subject), label) : "";
-  return el("div", { class: "need asks", "data-question": id },
-    el("p", {}, el("strong", {}, `? ${question.who} is asked: `), question.text),
-    el("p", { class: "soft" }, `for ${question.subject}, since ${seconds(question.since - model.began)}${where}`), form, why);
-}
-
-// What a call was hindered by, or has failed with.
-export function troubleOf(model, trouble, hasStep) {
-  const what = hasStep ? `${trouble.step} ${trouble.is_failure ? "failed" : "was hindered"}: ` : trouble.is_failure ? "failed: " : "hindered: ";
-  return el("div", { class: "need", "data-cause": trouble.cause },
-    el("p", {}, el("strong", {}, `✕ ${what}${words(trouble.cause)}`), el("span", { class: "soft" }, ` at ${seconds(trouble.time - model.began)}`)),
-    el("dl", { class: "pair" },
-      el("dt", {}, "expected"), el("dd", { class: "expected" }, trouble.expected || "–"),
-      el("dt", {}, "observed"), el("dd", { class: "observed" }, trouble.observed || "–"),
-      el("dt", {}, "then"), el("dd", {}, trouble.followed || "not decided yet")));
+  const state = taskState(model, id, task);
+  const way = wayOf(model, id, task);
+  const title = titleOf(task);
+  const isOver = task.state === "over";
+  const elapsed = (isOver ? task.ended : now) - task.time;
+  const end = isOver ? null : expectedEnd(model, id, task, now);
+  const stat = (value, text) => el("span", {}, el("b", {}, value), text ? el("span", { class: "dim" }, text) : "");
+  const stats = [statePill(state, isOver && task.code !== "goal_reached" ? words(task.code) : undefined)];
+  if (way.length) stats.push(el("span", {}, segments(way, state === "asks"), el("b", {}, `${doneOf(way)} of ${way.length}`)));
+  stats.push(isOver ? stat(span(elapsed), `until ${tod(model, task.ended)}`) : stat(span(elapsed), "so far"));
+  if (end !== null) stats.push(stat(span(end - now), `to go, ends ${tod(model, end)}`));
+  if (task.odds?.words) stats.push(el("span", { class: "odds", title: `${task.odds.words} likely to reach the goal without a new plan; in 90 % of such runs within ${span(task.odds.seconds?.ninety_percent ?? 0)}; ${task.odds.rests_on}` }, el("b", {}, task.odds.words), el("span", { class: "dim" }, "odds")));
+  if (task.priority) stats.push(stat(String(task.priority), "priority"));
+  if (task.deadline !== null && !isOver) stats.push(el("span", {}, el("span", { class: "dim" }, "due"), el("b", {}, clock(task.deadline))));
+  const reason = state === "asks" || task.code === "goal_reached" || (task.state === "running" && /^[\w-]+\(.*\) runs?$/s.test(task.reason)) ? "" : task.reason;
+  const heading = el("h2", { class: "el", title: task.title || null }, title);
+  placed(place, [el("div", { class: "row task", "data-how": state }, heading, el("span", { class: "sp" }), isNow ? taskButtons(id, task, title) : ""),
+    el("div", { class: "stats" }, ...stats), reason ? el("p", { class: "reason" }, reason) : "",
+    isNow && NO_PLAN.has(task.code) && hasNode() ? whyNoPlan(id, task.title) : ""].filter(Boolean));
 }

@@ -1,202 +1,293 @@
-// The timeline: a lane for each robot, with planned bars above actual ones, replans as cuts, and a line where we are.
+// The timeline of a task: a lane for each robot, plan over actual, new plans as cuts, and a line where we are.
 //
-// What stays where it was is left alone: of a thousand bars, a frame changes a few.
+// What stays where it was is left alone. Bars that are too narrow to be seen one by one are one path: of a thousand, a frame changes a few.
 
-import { SIGNS, el, seconds, stateOf, svg } from "./words.js";
+import { callsOf, isOther, numberOf, requestsOf, taskOf } from "./model.js";
+import { actionOf, el, fitted, look, mark, span, stateOf, svg, tod, whole, widthOf } from "./words.js";
 
-const ROW = 22, PLANNED = 7, GAP = 10, TOP = 42;
-
-// What is drawn: for what it was laid out, where times and lanes are, and its bars with what they look like.
+const TOP = 26, ROW = 25, PAD = 6, BAR = 20, NARROW = 5;
+const $ = (id) => document.getElementById(id);
+let zoom = null; // the part that is shown, from when to when; null for the whole task
 let drawn = { layout: "", bars: new Map() };
-let sight = null; // how wide the place is, and how far it is scrolled: asked of the browser only when that has changed
-let overBars = new WeakMap(); // of requests that are over, which stay as they are
+let width = 0;
 
-function inSight(place) {
-  if (!sight) {
-    sight = { width: place.clientWidth, left: place.scrollLeft };
-    new ResizeObserver(() => (sight.width = place.clientWidth)).observe(place);
-    place.addEventListener("scroll", () => {
-      sight.left = place.scrollLeft;
-      followNames();
-    });
+$("legend").append(...[["pl", "planned"], ["ac ok", "done"], ["ac run", "running"], ["ac bad", "failed"]].map(([looks, text]) => el("span", { class: "row" },
+  svg("svg", { width: 14, height: 10 }, svg("rect", { class: looks, x: 0.5, y: 0.5, width: 13, height: 9, rx: 2 })), text)));
+
+export const zoomed = () => Boolean(zoom);
+
+export function zoomBy(factor, redraw, at = 0.5) {
+  if (factor === 0 || !drawn.span) zoom = null;
+  else {
+    const [from, to] = zoom ?? drawn.span;
+    const centre = from + (to - from) * at;
+    const length = Math.max(1, (to - from) * factor);
+    const start = centre - length * at;
+    zoom = length >= drawn.span[1] - drawn.span[0] ? null : [Math.max(drawn.span[0], Math.min(start, drawn.span[1] - length)), 0];
+    if (zoom) zoom[1] = zoom[0] + length;
   }
-  return sight;
+  redraw();
 }
 
-export function showTimeline(model, chosen, choose) {
-  const place = document.getElementById("lanes");
-  const bars = barsOf(model, chosen);
-  const lanes = lanesOf(model, bars);
-  const busiest = Math.max(1, ...[...lanes.values()].map((lane) => lane.count));
-  const wide = inSight(place).width;
-  const narrow = wide < 560;
-  const left = narrow ? 6 : 92;
-  const step = 2 ** Math.max(2, Math.floor(Math.log2(busiest)) - 2); // so that not every request is another layout
-  const room = Math.ceil(busiest / step) * step;
-  const width = Math.max(wide - 2, Math.min(30000, left + room * (narrow ? 34 : 26)));
-  const planned = plannedOf(model);
-  const end = scaleOf(model, [...bars, ...planned]);
-  const layout = JSON.stringify([width, end, model.began, [...lanes].map(([name, lane]) => [name, lane.rows]), [...model.runs].map(([id, run]) => [id, run.origin, run.replan])]);
-  if (layout !== drawn.layout) draw(place, model, { layout, width, left, narrow, end, lanes, planned });
-  for (const [id, bar] of bars) drawBar(id, bar, choose);
-  for (const [id, old] of drawn.bars) {
-    if (!model.requests.has(id)) {
-      old.group.remove();
-      drawn.bars.delete(id);
-    }
-  }
-  const now = drawn.x(model.time);
-  drawn.now.setAttribute("x1", now);
-  drawn.now.setAttribute("x2", now);
-  drawn.svg.setAttribute("aria-label", `${bars.length} attempts of ${lanes.size} robots, until ${seconds(model.time - model.began)}`);
-  if (drawn.seen !== model.time) keepInSight(place, now);
-  drawn.seen = model.time;
-}
-
-// Draws all but the bars.
-function draw(place, model, { layout, width, left, narrow, end, lanes, planned }) {
-  const x = (time) => Math.round((left + ((time - model.began) / (end - model.began)) * (width - left - 14)) * 10) / 10;
-  const parts = [];
-  const names = svg("g", { class: "names" });
-  const tops = new Map();
-  let y = TOP;
-  for (const [name, lane] of lanes) {
-    const extra = narrow ? 15 : 0;
-    parts.push(svg("line", { class: "lane", x1: 0, x2: width, y1: y - GAP / 2, y2: y - GAP / 2 }));
-    names.append(svg("text", { class: "name", x: 4, y: y + (narrow ? 10 : PLANNED + 17) }, name.length > 12 && !narrow ? `${name.slice(0, 11)}…` : name));
-    tops.set(name, y + extra);
-    y += extra + PLANNED + 3 + lane.rows * ROW + GAP;
-  }
-  if (!lanes.size) parts.push(svg("text", { class: "soft", x: left + 8, y: TOP + 14 }, "nothing has begun yet"));
-  for (const [, bar] of planned) {
-    if (tops.has(bar.lane)) parts.push(svg("rect", { class: "planned", x: x(bar.from), y: tops.get(bar.lane), width: Math.max(2, x(bar.to) - x(bar.from)), height: PLANNED, rx: 2 }, svg("title", {}, `planned: ${bar.action}`)));
-  }
-  const height = Math.max(y, TOP + 20);
-  const grid = ticksOf(end - model.began).map((tick) => svg("g", {},
-    svg("line", { class: "grid", x1: x(model.began + tick), x2: x(model.began + tick), y1: TOP - 24, y2: height }),
-    svg("text", { class: "soft", x: x(model.began + tick), y: 12, "text-anchor": tick ? "middle" : "start" }, `${tick} s`)));
-  const cuts = [...model.runs.values()].filter((run) => run.replan).map((run, number) => svg("g", {},
-    svg("title", {}, run.replan.why),
-    svg("line", { class: "cut", x1: x(run.time), x2: x(run.time), y1: TOP - 6, y2: height }),
-    svg("text", { class: "cut-text", x: x(run.time), y: TOP - 9, "text-anchor": "middle" }, `↻${number + 1}`)));
-  const now = svg("line", { class: "now", y1: TOP - 24, y2: height });
-  const group = svg("g");
-  const picture = svg("svg", { width, height, viewBox: `0 0 ${width} ${height}`, role: "img" }, ...grid, ...parts, group, ...cuts, now, names);
-  drawn = { layout, x, tops, names, now, group, svg: picture, bars: new Map(), seen: drawn.seen };
-  place.replaceChildren(picture);
-  followNames();
-  showCuts(model);
-}
-
-function drawBar(id, bar, choose) {
-  const old = drawn.bars.get(id);
-  if (old?.bar === bar && old.row === bar.row && old.isChosen === bar.isChosen) return;
-  const looks = `${bar.from} ${bar.to} ${bar.row} ${bar.state} ${bar.isChosen} ${bar.words} ${bar.declared}`;
-  drawn.bars.set(id, { bar, row: bar.row, isChosen: bar.isChosen, looks, group: old?.group });
-  if (old?.looks === looks) return;
-  const [from, width] = [drawn.x(bar.from), Math.max(3, drawn.x(bar.to) - drawn.x(bar.from))];
-  const y = drawn.tops.get(bar.lane) + PLANNED + 3 + bar.row * ROW;
-  const text = `${SIGNS[bar.state]} ${bar.action}${bar.attempt > 1 ? ` (${bar.attempt})` : ""}${bar.declared ? `: ${bar.declared}` : ""}`;
-  const letters = Math.floor((width - 8) / 6.1);
-  const label = letters >= text.length ? text : letters > 6 ? `${text.slice(0, letters - 1)}…` : letters >= 1 ? text.slice(0, 1) : "";
-  const group = svg("g", { class: `bar${bar.isChosen ? " chosen" : ""}`, "data-state": bar.state, "data-call": bar.call },
-    svg("title", {}, `${bar.action}, attempt ${bar.attempt}: ${bar.words}`),
-    svg("rect", { x: from, y, width, height: ROW - 3, rx: 3 }),
-    label ? svg("text", { x: from + 4, y: y + 13.5 }, label) : "");
-  group.addEventListener("click", () => choose(bar.call));
-  if (old) old.group.replaceWith(group);
-  else drawn.group.append(group);
-  drawn.bars.get(id).group = group;
-}
-
-// Names of lanes stay where they can be read when the picture is scrolled.
-function followNames() {
-  drawn.names.setAttribute("transform", `translate(${sight.left} 0)`);
-}
-
-function keepInSight(place, now) {
-  if (now <= sight.left + sight.width - 20 && now >= sight.left + Math.min(100, now)) return;
-  place.scrollLeft = Math.max(0, now - 0.75 * sight.width);
-  sight.left = place.scrollLeft;
-  followNames();
-}
-
-// The end of the scale: while something goes on there is some room, so that not every moment is another scale.
-function scaleOf(model, bars) {
-  let end = Math.max(model.time, model.began + 1);
-  for (const [, bar] of bars) end = Math.max(end, bar.to);
-  const goesOn = [...model.tasks.values()].some((task) => task.state !== "over");
-  if (!goesOn || end > model.time) return end;
-  const span = end - model.began;
-  const unit = 10 ** Math.floor(Math.log10(span)) / 2;
-  return model.began + Math.ceil((span * 1.05) / unit) * unit;
-}
-
-function barsOf(model, chosen) {
-  const bars = [...model.requests].map(([id, request]) => {
-    const isOver = model.runs.get(request.run)?.is_over ?? true;
-    const known = overBars.get(request);
-    if (known) {
-      known[1].isChosen = known[1].call === chosen;
-      return known;
-    }
-    const call = `${request.run}/${request.call}`;
-    const entry = [id, {
-      lane: request.lane, from: request.sent, to: request.ended ?? (isOver ? request.accepted ?? request.sent : model.time), row: 0,
-      state: stateOf(request, isOver), action: request.action, attempt: request.attempt, declared: request.declared, call, isChosen: call === chosen,
-      words: request.outcome ? `${request.declared || request.outcome}${request.message ? `: ${request.message}` : ""}` : request.feedback || "is under way",
-    }];
-    if (request.outcome) overBars.set(request, entry);
-    return entry;
+export function watchTimeline(redraw) {
+  const place = $("lanes");
+  new ResizeObserver(() => {
+    width = place.clientWidth;
+    redraw();
+  }).observe(place);
+  place.addEventListener("wheel", (wheel) => {
+    if (!wheel.ctrlKey && !wheel.metaKey && !(zoom && wheel.shiftKey)) return;
+    wheel.preventDefault();
+    if (wheel.shiftKey) pan((wheel.deltaY || wheel.deltaX) / 400, redraw);
+    else zoomBy(wheel.deltaY > 0 ? 1.25 : 0.8, redraw, Math.max(0, Math.min(1, (wheel.offsetX - drawn.left) / (width - drawn.left))));
+  }, { passive: false });
+  let held = null;
+  place.addEventListener("pointerdown", (pointer) => (held = zoom ? pointer.clientX : null));
+  addEventListener("pointermove", (pointer) => {
+    if (held === null) return;
+    pan((held - pointer.clientX) / Math.max(1, width - drawn.left), redraw);
+    held = pointer.clientX;
   });
-  return bars.sort(([, a], [, b]) => a.from - b.from);
+  addEventListener("pointerup", () => (held = null));
 }
 
-// Planned bars, unless nobody planned times; of a run that another one follows, only what was planned until then.
-function plannedOf(model) {
-  const until = new Map();
-  for (const task of model.tasks.values()) {
-    task.runs.forEach((run, place) => until.set(run, model.runs.get(task.runs[place + 1])?.time ?? Infinity));
+function pan(part, redraw) {
+  if (!zoom) return;
+  const length = zoom[1] - zoom[0];
+  const from = Math.max(drawn.span[0], Math.min(zoom[0] + part * length, drawn.span[1] - length));
+  zoom = [from, from + length];
+  redraw();
+}
+
+let shownTask = "";
+
+export function showTimeline(model, id, now, chosen, choose) {
+  if (shownTask !== id) [shownTask, zoom] = [id, null];
+  const task = model.tasks.get(id);
+  const place = $("lanes");
+  const runs = task ? task.runs.filter((run) => model.runs.has(run)) : [...model.runs.keys()].filter((run) => !taskOf(model, run));
+  $("timeline").hidden = !runs.length;
+  if (!runs.length || !width) return;
+  const isOpen = task ? task.state !== "over" : runs.some((run) => !model.runs.get(run).is_over);
+  const began = Math.min(task?.time ?? Infinity, ...runs.map((run) => model.runs.get(run).time));
+  const end = isOpen ? now : task?.ended ?? model.time;
+  const bars = barsOf(model, runs, end, chosen);
+  const planned = plannedOf(model, runs);
+  const all = [began, spanEnd(began, Math.max(began + 1, ...bars.map((bar) => bar.to), ...planned.map((bar) => bar.to), ...bars.map((bar) => bar.rest ?? 0), isOpen ? now : 0))];
+  const [from, to] = zoom ?? all;
+  const lanes = lanesOf(bars, planned);
+  const isSmall = width < 560;
+  const left = isSmall ? 40 : Math.min(140, 44 + Math.max(24, ...[...lanes.keys()].map((name) => widthOf(name, true) + 8)));
+  const layout = JSON.stringify([id, width, from, to, [...lanes].map(([name, lane]) => [name, lane.plan.length, lane.actual.length]), runs, planned.length, model.clock]);
+  if (layout !== drawn.layout) layOut(model, { layout, left, from, to, all, began, lanes, planned, runs, isSmall, place, choose });
+  drawn.span = all;
+  drawBars(model, bars, choose);
+  const x = drawn.x(now);
+  const isSeen = isOpen && now >= from && now <= to;
+  drawn.now.setAttribute("visibility", isSeen ? "visible" : "hidden");
+  drawn.future.setAttribute("visibility", isSeen ? "visible" : "hidden");
+  if (isSeen) {
+    const text = `now ${span(now - began)}`;
+    const box = widthOf(text, true) + 12;
+    const at = Math.min(x - 1, width - box);
+    drawn.now.children[0].setAttribute("d", `M${x} 20V${drawn.height}`);
+    drawn.now.children[1].setAttribute("x", at);
+    drawn.now.children[1].setAttribute("width", box);
+    drawn.now.children[2].setAttribute("x", at + 6);
+    drawn.now.children[2].textContent = text;
+    drawn.future.setAttribute("x", x);
+    drawn.future.setAttribute("width", Math.max(0, width - x));
   }
-  const timed = new Set();
-  for (const call of model.calls.values()) if (call.planned > 0 || model.calls.size === 1) timed.add(call.run);
+  drawn.svg.setAttribute("aria-label", `${bars.length} requests of ${lanes.size} robots in ${span(end - began)}`);
+}
+
+// The end of the scale, with some room, so that not every moment is another scale.
+function spanEnd(began, end) {
+  const length = (end - began) * 1.04;
+  const unit = 10 ** Math.floor(Math.log10(length)) / 4;
+  return began + Math.ceil(length / unit) * unit;
+}
+
+function barsOf(model, runs, end, chosen) {
   const bars = [];
-  for (const [key, call] of model.calls) {
-    const run = model.runs.get(call.run);
-    if (!run || run.origin === null || !timed.has(call.run)) continue;
-    const from = run.origin + call.planned;
-    const to = Math.min(from + (call.duration ?? 0), until.get(call.run) ?? Infinity);
-    if (from <= to) bars.push([key, { lane: call.lane, from, to, action: call.action }]);
+  for (const run of runs) {
+    const isOver = model.runs.get(run).is_over;
+    for (const [id, request] of requestsOf(model, run)) {
+      const call = `${run}/${request.call}`;
+      const state = stateOf(request, isOver);
+      const duration = model.calls.get(call)?.duration ?? null;
+      bars.push({ id, call, lane: request.lane, from: request.sent, to: request.ended ?? (isOver ? request.accepted ?? request.sent : end), state, attempt: request.attempt, isChosen: call === chosen,
+        rest: state === "running" && duration !== null && request.sent + duration > end ? request.sent + duration : null, name: actionOf(request.action).name, action: request.action,
+        words: request.declared || request.message || request.feedback || look(state)[2] });
+    }
   }
-  return bars;
+  return bars.sort((a, b) => a.from - b.from);
+}
+
+// Planned bars, unless nobody planned times; of a plan that another one follows, only what was planned until then.
+function plannedOf(model, runs) {
+  const own = runs.filter((run) => model.runs.get(run).is_own);
+  const bars = [];
+  for (const run of runs) {
+    const { origin, time } = model.runs.get(run);
+    const calls = callsOf(model, run);
+    if (origin === null || !calls.some(([, call]) => call.planned > 0 || calls.length === 1)) continue;
+    const late = Math.max(0, time - Math.min(...calls.map(([, call]) => origin + call.planned))); // what goes on with the rest of a plan
+    const until = model.runs.get(own[own.indexOf(run) + 1])?.time ?? Infinity;
+    for (const [key, call] of calls) {
+      const from = origin + call.planned + late;
+      const to = Math.min(from + (call.duration ?? 0), until);
+      if (from < to) bars.push({ key, lane: call.lane, from, to, isCut: from + call.duration > until, action: call.action, name: actionOf(call.action).name });
+    }
+  }
+  return bars.sort((a, b) => a.from - b.from);
 }
 
 // Bars of a lane that overlap stand below each other.
-function lanesOf(model, bars) {
-  const names = new Set();
-  for (const call of model.calls.values()) names.add(call.lane);
-  for (const [, bar] of bars) names.add(bar.lane);
-  const lanes = new Map([...names].sort().map((name) => [name, { rows: 1, count: 0, ends: [] }]));
-  for (const [, bar] of bars) {
-    const lane = lanes.get(bar.lane);
-    const free = lane.ends.findIndex((end) => end <= bar.from + 1e-6);
-    bar.row = free < 0 ? lane.ends.length : free;
-    lane.ends[bar.row] = bar.to;
-    lane.rows = Math.max(lane.rows, lane.ends.length);
-    lane.count += 1;
-  }
+function lanesOf(bars, planned) {
+  const lanes = new Map([...new Set([...bars, ...planned].map((bar) => bar.lane))].sort((a, b) => a.localeCompare(b, "en", { numeric: true })).map((name) => [name, { plan: [], actual: [] }]));
+  const stack = (which) => (bar) => {
+    const ends = lanes.get(bar.lane)[which];
+    const free = ends.findIndex((end) => end <= bar.from + 1e-6);
+    bar.row = free < 0 ? ends.length : free;
+    ends[bar.row] = bar.to;
+  };
+  planned.forEach(stack("plan"));
+  bars.forEach(stack("actual"));
   return lanes;
 }
 
-function ticksOf(span) {
-  const step = [0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 30, 60, 120, 300, 600, 1800, 3600, 7200, 21600].find((each) => span / each <= 9) ?? 43200;
-  return Array.from({ length: Math.floor(span / step) + 1 }, (_, number) => Number((number * step).toFixed(2)));
+// Draws all but the actual bars.
+function layOut(model, { layout, left, from, to, began, lanes, planned, runs, isSmall, place, choose }) {
+  const x = (time) => Math.round((left + ((time - from) / (to - from)) * (width - left - 1)) * 10) / 10;
+  const parts = [], tops = new Map();
+  let y = TOP;
+  for (const [name, lane] of lanes) {
+    const [plans, actual] = [lane.plan.length, Math.max(1, lane.actual.length)];
+    const height = (plans + actual) * ROW + PAD;
+    parts.push(svg("path", { class: "ax", d: `M0 ${y}H${width}` }),
+      svg("text", { class: "tn", x: 0, y: y + (isSmall || !plans ? 18 : height / 2 + 4) }, fitted(name, left - (plans && !isSmall ? 44 : 4), true), svg("title", {}, name)));
+    if (!isSmall && plans) parts.push(svg("text", { class: "td", x: left - 6, y: y + 20, "text-anchor": "end" }, "plan"), svg("text", { class: "td", x: left - 6, y: y + plans * ROW + 20, "text-anchor": "end" }, "actual"));
+    tops.set(name, { plan: y + PAD, actual: y + PAD + plans * ROW });
+    y += height;
+  }
+  const height = y;
+  parts.push(svg("path", { class: "ax", d: `M0 ${height}H${width}` }));
+  let narrow = "";
+  for (const bar of planned) {
+    const [a, b] = [Math.max(x(bar.from), left), Math.min(x(bar.to), width) - 1.5];
+    if (b <= left || a >= width) continue;
+    const top = tops.get(bar.lane).plan + bar.row * ROW;
+    if (b - a < NARROW) {
+      narrow += `M${a} ${top}h${Math.max(0.5, b - a)}v${BAR - 1}h${-Math.max(0.5, b - a)}z`;
+      continue;
+    }
+    const group = svg("g", { class: "bar planned" }, svg("title", {}, `planned: ${bar.action}, ${tod(model, bar.from)} to ${tod(model, bar.to)}${bar.isCut ? ", cut by a new plan" : ""}`),
+      svg("rect", { class: `pl ${bar.isCut ? "drop" : ""}`, x: a + 0.5, y: top + 0.5, width: Math.max(1, b - a - 1), height: BAR - 1, rx: 4 }), svg("text", { class: "td", x: a + 6, y: top + 14 }, whole(bar.name, b - a - 10)));
+    group.addEventListener("click", () => choose(bar.key));
+    parts.push(group);
+  }
+  if (narrow) parts.push(svg("path", { class: "pl", d: narrow }));
+  const grid = ticksOf(from, to, began, width - left, model.clock === null).flatMap((time) => {
+    const at = x(time);
+    const [day, since] = [tod(model, time), span(time - began)];
+    const room = model.clock !== null && (width - left) / ((to - from) / stepOf) > 104;
+    const anchor = at < left + 24 ? 0 : -22;
+    if (at + anchor + widthOf(day) > width) return [svg("path", { class: "ax", d: `M${at} ${TOP}V${height + 5}` })];
+    return [svg("path", { class: "ax", d: `M${at} ${TOP}V${height + 5}` }), svg("text", { x: at + anchor, y: height + 17 }, model.clock === null ? since : day),
+      room && at + anchor + widthOf(day) + widthOf(since) + 6 < width ? svg("text", { class: "td", x: at + anchor + widthOf(day) + 6, y: height + 17 }, since) : ""].filter(Boolean);
+  });
+  const cuts = cutsOf(model, runs, x, left, height);
+  const future = svg("rect", { class: "fut", y: TOP, height: height - TOP });
+  const now = svg("g", { class: "now" }, svg("path", { class: "nowl" }), svg("rect", { class: "nowb", y: 0, height: 20, rx: 4 }), svg("text", { class: "t-on", y: 14 }));
+  const group = svg("g");
+  const picture = svg("svg", { class: "g", width, height: height + 20, viewBox: `0 0 ${width} ${height + 20}`, role: "img" }, future, ...grid, ...parts, group, ...cuts, now);
+  drawn = { ...drawn, layout, x, left, tops, height, now, future, group, svg: picture, bars: new Map(), narrow: new Map() };
+  place.replaceChildren(picture);
 }
 
-function showCuts(model) {
-  const runs = [...model.runs.values()].filter((run) => run.replan);
-  const part = (sign, word, calls) => (calls.length ? el("span", { class: "what" }, `${sign} ${word}: ${calls.join(", ")}`) : "");
-  document.getElementById("cuts").replaceChildren(...runs.map((run, number) => el("li", {},
-    el("strong", {}, `↻${number + 1} `), el("span", { class: "num" }, `${seconds(run.time - model.began)} `), run.replan.why,
-    part("=", "kept", run.replan.kept), part("−", "dropped", run.replan.dropped), part("+", "added", run.replan.added))));
+// New plans: a line from above the lanes, with a label that stands left of it, unless another one is there.
+function cutsOf(model, runs, x, left, height) {
+  const own = runs.filter((run) => model.runs.get(run).is_own);
+  let taken = left;
+  return own.flatMap((id) => {
+    const run = model.runs.get(id);
+    const at = x(run.time);
+    if (!run.replan || at < left || at > width) return [];
+    const name = isOther(run) ? `plan ${numberOf(model, own, id)}` : "goes on";
+    const long = `${name}: ${why(run.replan.why)}`;
+    const text = isOther(run) && at - taken > widthOf(name, true) + 70 ? fitted(long, at - taken - 30, true) : name;
+    const box = widthOf(text, true) + 26;
+    const start = Math.max(0, at - box < taken ? Math.min(taken, width - box) : at - box);
+    const label = [svg("rect", { class: "cutb", x: start, y: 0, width: box, height: 20, rx: 4 }), mark("cut", start + 5, 4, "cut"), svg("text", { class: "t-cut", x: start + 21, y: 14 }, text)];
+    taken = start + box + 4;
+    return [svg("g", { class: "newplan" }, svg("title", {}, `${tod(model, run.time)}: ${run.replan.why}`), svg("path", { class: "cutl", d: `M${at} 20V${height}` }), ...label)];
+  });
 }
+
+// A reason for a new plan, from its first words on.
+const why = (text) => text.replace(/^a new plan is needed: /, "").split(/[;:]/)[0];
+
+function drawBars(model, bars, choose) {
+  const seen = new Set(), paths = new Map();
+  for (const bar of bars) {
+    const [a, b] = [Math.max(drawn.x(bar.from), drawn.left), Math.min(drawn.x(bar.to), width) - (bar.state === "running" ? 0 : 1.5)];
+    if (Math.max(b, bar.rest === null ? 0 : drawn.x(bar.rest)) <= drawn.left || a >= width) continue;
+    const top = drawn.tops.get(bar.lane).actual + bar.row * ROW;
+    const colour = look(bar.state)[1];
+    if (b - a < NARROW && bar.rest === null && !bar.isChosen) {
+      paths.set(colour, `${paths.get(colour) ?? ""}M${a} ${top}h${Math.max(1, b - a)}v${BAR}h${-Math.max(1, b - a)}z`);
+      continue;
+    }
+    seen.add(bar.id);
+    const looks = `${a} ${b} ${top} ${bar.state} ${bar.isChosen} ${bar.words} ${bar.rest}`;
+    const old = drawn.bars.get(bar.id);
+    if (old?.looks === looks) continue;
+    const group = barOf(model, bar, a, Math.max(2, b - a), top, colour);
+    group.addEventListener("click", () => choose(bar.call));
+    if (old) old.group.replaceWith(group);
+    else drawn.group.append(group);
+    drawn.bars.set(bar.id, { looks, group });
+  }
+  for (const [id, old] of drawn.bars) {
+    if (seen.has(id)) continue;
+    old.group.remove();
+    drawn.bars.delete(id);
+  }
+  for (const colour of new Set([...paths.keys(), ...drawn.narrow.keys()])) {
+    if (!drawn.narrow.has(colour)) {
+      drawn.narrow.set(colour, svg("path", { class: `ac ${colour}` }));
+      drawn.group.prepend(drawn.narrow.get(colour));
+    }
+    const d = paths.get(colour) ?? "";
+    if (drawn.narrow.get(colour).getAttribute("d") !== d) drawn.narrow.get(colour).setAttribute("d", d);
+  }
+}
+
+function barOf(model, bar, x, wide, top, colour) {
+  const [sign] = look(bar.state);
+  const parts = [svg("title", {}, `${bar.action}, attempt ${bar.attempt}: ${bar.words}; ${tod(model, bar.from)}${bar.state === "running" ? "" : ` to ${tod(model, bar.to)}`}`)];
+  if (bar.rest !== null) parts.push(svg("rect", { class: "pl rest", x: x + wide - 2, y: top + 0.5, width: Math.max(2, Math.min(drawn.x(bar.rest), width) - x - wide), height: BAR - 1, rx: 4 }));
+  parts.push(svg("rect", { class: `ac ${colour} ${bar.state === "running" ? "glow" : ""}`, x: x + 0.5, y: top + 0.5, width: Math.max(1, wide - 1), height: BAR - 1, rx: Math.min(4, wide / 2) }));
+  const on = colour === "ok" || colour === "dim" ? colour : `on-${colour}`;
+  const text = colour === "ok" || colour === "dim" ? whole(bar.name, wide - 24) : "";
+  if (wide > 14) parts.push(mark(sign, text ? x + 4 : x + wide / 2 - 6, top + 4, on));
+  if (text) parts.push(svg("text", { class: "t-ok", x: x + 19, y: top + 14 }, text));
+  if (bar.rest !== null) {
+    const room = Math.min(drawn.x(bar.rest), width) - x - wide - 10;
+    const rest = whole(bar.name, room - (wide > 14 ? 0 : 16), true);
+    if (wide <= 14 && room > 16) parts.push(mark("run", x + wide + 5, top + 4, "run"));
+    if (rest) parts.push(svg("text", { class: "t-run", x: x + wide + (wide > 14 ? 7 : 21), y: top + 14 }, rest));
+  }
+  return svg("g", { class: `bar${bar.isChosen ? " chosen" : ""}`, "data-state": bar.state, "data-call": bar.call }, ...parts);
+}
+
+let stepOf = 1;
+
+function ticksOf(from, to, began, room, isRelative) {
+  const most = Math.max(2, Math.floor(room / (isRelative ? 64 : 76)));
+  stepOf = [1, 2, 5, 10, 20, 30, 60, 120, 300, 600, 1800, 3600, 7200, 21600].find((each) => (to - from) / each <= most) ?? 43200;
+  const first = Math.ceil((from - began) / stepOf);
+  return Array.from({ length: Math.floor((to - began) / stepOf) - first + 1 }, (_, number) => began + (first + number) * stepOf);
+}
+
