@@ -380,6 +380,9 @@ class Tasks(TaskCommands, Protocol):
     def status(self) -> tuple[TaskStatus, ...]:
         """Return the status of all tasks that are not over, in the order in which they are served, and of those that ended last."""
 
+    def plans(self) -> Mapping[str, Mapping[str, object]]:
+        """Return the hand-written plans that are loaded, with their parameters and the values that these have at first; None for none."""
+
     def plan(self, task: UUID, /) -> tuple[int, tuple[TaskStep, ...]]:
         """Return the number of plans that the task has had before, and the steps of its plan; none when it has none."""
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 import asyncio
 import logging
 from bisect import insort
-from collections.abc import Callable, Collection, Coroutine, Iterable
+from collections.abc import Callable, Collection, Coroutine, Iterable, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 from operator import attrgetter
@@ -223,6 +223,11 @@ class TaskManager:
     def hands(self) -> tuple[Hand, ...]:
         """Return what people have in their hands."""
         return tuple(self._runner.hands.taken.values())
+
+    def plans(self) -> Mapping[str, Mapping[str, object]]:
+        """Return the hand-written plans that are loaded, with their parameters and the values that these have at first; None for none."""
+        plans = {name: program.plan for name, program in self._runner.programs.items()}
+        return {name: {known: plan.variables.get(known) for known in plan.parameters or ()} for name, plan in plans.items()}
 
     async def step(self, task: UUID, /) -> None:
         """Let one request of a task leave that an operator has paused; return when nothing is under way any more."""

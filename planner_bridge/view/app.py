@@ -415,7 +415,7 @@ class Control:
                 return ShownResponse({"answers": [answer.as_json() for answer in answers]})
             except PnmError as error:
                 return _refused(str(error), 409)
-        told = {name: value for name, value in reply.as_json().items() if name != "problem"}
+        told = {name: value for name, value in reply.as_json().items() if name != "problem" and value != {}}
         return ShownResponse(told, 409 if reply.refused else 200)
 
     def _refusal(self, request: Request) -> Response | None:

@@ -14,7 +14,7 @@ import subprocess
 import threading
 from collections.abc import Mapping
 from contextlib import suppress
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from enum import Enum
 from pathlib import Path
 from types import TracebackType
@@ -23,6 +23,7 @@ from uuid import UUID, uuid4
 
 from pnm.errors import InputError, PnmError
 from pnm.files.process import own_environment, own_python
+from pnm.files.yaml_nodes import parse_value
 from pnm.tasks import ServedWorld, TaskCommands, TaskRefused, Tasks, TaskState, Wanted
 
 # --- commands -------------------------------------------------------------------------------------
@@ -56,12 +57,14 @@ class Reply:
         line: in a text that is wrong, from 1.
         column: in that line, from 1.
         problem: what is to be explained, as it goes from one process to the other; browsers do not get it.
+        plans: the hand-written plans that can be started, with the values of their parameters as texts; None for one without a value.
     """
 
     refused: str = ""
     line: int = 0
     column: int = 0
     problem: str = ""
+    plans: Mapping[str, Mapping[str, str | None]] = field(default_factory=dict)
 
     def as_json(self) -> dict[str, Any]:
         """Return it as it is sent: what is long quotes what was wanted."""
@@ -78,6 +81,10 @@ def _text(data: Mapping[str, object], name: str) -> str:
     except UnicodeEncodeError as error:
         raise InputError(f"expected a text under {name!r}, found half of a character") from error
     return value
+
+
+def _yaml(value: object) -> str | None:
+    return value if value is None or isinstance(value, str) else json.dumps(value, ensure_ascii=False, default=str)
 
 
 def _texts(data: Mapping[str, object], name: str) -> tuple[str, ...]:
@@ -105,7 +112,22 @@ def _task(data: Mapping[str, object]) -> UUID | None:
     return _id(data, "task") if data.get("task") else None
 
 
-_COMMANDS: Final = ("check", "why", "goal", "pause", "resume", "cancel", "take", "give", "step", "settle", "tell", "answer")
+_COMMANDS: Final = (
+    "check",
+    "why",
+    "goal",
+    "plans",
+    "start",
+    "pause",
+    "resume",
+    "cancel",
+    "take",
+    "give",
+    "step",
+    "settle",
+    "tell",
+    "answer",
+)
 """The values of ``do``."""
 _CONFIRMED: Final = ("pause", "resume", "cancel", "take", "give", "step")
 """Those that robots have to confirm."""
@@ -203,6 +225,17 @@ class Operator:
                     raise InputError("expected a whole number under 'priority'")
                 await self._served.check_goal(goal)
                 self._begin(Wanted(uuid4(), goal, priority))
+            case "plans":
+                plans = self._tasks.plans()
+                return Reply(plans={name: {known: _yaml(value) for known, value in plans[name].items()} for name in plans})
+            case "start":
+                name, given = _text(data, "plan"), data.get("given", {})
+                if name not in self._tasks.plans() or not isinstance(given, Mapping):
+                    raise InputError(
+                        f"expected the name of a plan that is loaded under 'plan', found {name[:40]!r}, and its parameters under 'given'"
+                    )
+                values = {str(key): parse_value(_text(given, key), key) for key in given}
+                self._begin(Wanted(uuid4(), name, parameters=values, is_plan=True))
             case "pause":
                 await self._commands.pause(_task(data), at_once="at_once" in data and _flag(data, "at_once"))
             case "resume":

@@ -156,14 +156,14 @@ def test_the_page_of_a_journal_gets_texts_and_pictures(journal: Path) -> None:
         last = Reader(journal).newest().number
         parts = json.loads(asked(url, f"/state?at={last}")[2])["parts"]
         paths = [f"/state?at={last}", *(f"/call?call={call}&at={last}" for call in parts["calls"])]
-        paths += [f"/why?call={[*parts['calls']][-1]}&at={last}", *(f"/picture?run={run}&at={last}" for run in parts["runs"])]
+        paths += [f"/why?call={[*parts['calls']][-1]}&at={last}", *(f"/plan?run={run}&at={last}" for run in parts["runs"])]
         for path in paths:
             status, _, text = asked(url, path)
             assert status == 200, path
             assert is_safe(text), path
             assert "OWNED" in text, path
-            if path.startswith("/picture"):
-                assert any(box.get("data-step") for box in ElementTree.fromstring(text).iter())
+            if path.startswith("/plan"):
+                assert json.loads(text)[0]["cells"]
         for name in ("/state?at=", "/call?at=1&call="):
             status, _, text = asked(url, name + quote(HOSTILE))
             assert (status, is_safe(text)) == (400, True)

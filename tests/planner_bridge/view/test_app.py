@@ -8,12 +8,10 @@ import re
 from collections.abc import Iterator
 from pathlib import Path
 from urllib.parse import urlsplit
-from xml.etree import ElementTree
 
 import pytest
 
 from planner_bridge.view.app import PAGE, WATCHING
-from tests.support.e2e.command_line import pnm
 from tests.support.e2e.page.serving import Stream, asked, page_of
 from tests.support.processes import until
 
@@ -83,7 +81,9 @@ def test_its_own_page_may_ask_under_both_names_of_this_computer_and_change_nothi
         (f"/call?call={'0' * 32}/0&at=5", 404),
         ("/why?at=5", 400),
         (f"/why?call={'0' * 32}/0&at=5", 404),
-        ("/picture?run=0&at=5", 404),
+        ("/plan?run=0&at=5", 404),
+        ("/state?time=x", 400),
+        ("/state?time=1e5", 400),
     ],
 )
 def test_what_is_not_there_is_said_so(url: str, path: str, status: int) -> None:
@@ -111,26 +111,30 @@ def _can_watch(url: str) -> bool:
     return status == 200
 
 
-def test_the_state_a_call_and_a_picture_after_a_record(url: str) -> None:
+def test_the_state_a_call_and_a_plan_after_a_record(url: str) -> None:
     state = json.loads(asked(url, "/state?at=60")[2])
     assert (state["number"], state["is_whole"]) == (60, True)
     for key, call in state["parts"]["calls"].items():
         told = json.loads(asked(url, f"/call?call={key}&at=60")[2])
         assert told["action"] == call["action"]
     for run in state["parts"]["runs"]:
-        picture = ElementTree.fromstring(asked(url, f"/picture?run={run}&at=60")[2])
+        (whole,) = json.loads(asked(url, f"/plan?run={run}&at=60")[2])
         calls = {call["index"] for call in state["parts"]["calls"].values() if call["run"] == run}
-        assert {int(box.get("data-step", "")) for box in picture.iter() if box.get("data-step")} == calls
-        assert not [part for part in picture.iter() if part.get("style") or part.tag.endswith("style")], "the page has its own looks"
+        assert {cell["step"] for cell in whole["cells"]} == calls
+        assert all(arrow["protects"] for arrow in whole["arrows"]), "the facts that are waited for"
 
 
-def test_why_a_call_is_there_is_told_as_pnm_why_tells_it(url: str, delivery: Path) -> None:
-    parts = json.loads(asked(url, "/state?at=60")[2])["parts"]
-    last = next(iter(parts["tasks"].values()))["runs"][-1]
-    key, call = next((key, call) for key, call in parts["calls"].items() if call["run"] == last)
-    told = json.loads(asked(url, f"/why?call={key}&at=60")[2])
-    command = pnm("why", "--journal", str(delivery), "--to", "60", "--call", str(call["index"]), "--json")
-    assert told == json.loads(command.stdout)["answers"]
-    assert call["action"] in told[0]["statement"]
-    status, _, text = asked(url, f"/why?call={key.partition('/')[0]}/999&at=60")
-    assert (status, "has no call 999" in text) == (409, True)
+def test_a_moment_is_found_by_its_time(url: str) -> None:
+    """The state by a time is that after the last record until then; before all of them it is that after the first one."""
+    for time, latest in ((-1.0, 0.0), (12.0, 12.0), (13.99, 12.0), (1e6, 1e6)):
+        found = json.loads(asked(url, f"/state?time={time:f}")[2])
+        assert found["time"] <= latest
+        following = asked(url, f"/state?at={found['number'] + 1}")
+        assert following[0] == 404 or json.loads(following[2])["time"] > time or found["number"] == 1
+
+
+def test_a_day_has_all_tasks_with_what_robots_did_for_them(url: str) -> None:
+    (task,) = json.loads(asked(url, "/day")[2])
+    assert (task["title"], task["code"], task["replans"]) == ("(and (at parcel1 hall) (at parcel2 kitchen))", "goal_reached", 2)
+    assert task["ended"] - task["accepted"] == task["seconds"] > 0.0
+    assert set(task["busy"]) == {"r1", "r2"}

@@ -122,6 +122,9 @@ class FakeTasks:
     def hands(self) -> tuple[Hand, ...]:
         return tuple(self.in_hands)
 
+    def plans(self) -> Mapping[str, Mapping[str, object]]:
+        return {"empty": {}, "round": {"rounds": 2, "place": None}}
+
     async def step(self, task: UUID, /) -> None:
         self._said("step", *self._meant(task))
 
