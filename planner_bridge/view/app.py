@@ -264,7 +264,7 @@ def day_of(place: Place) -> list[dict[str, Any]]:
                 end = clock + (history.time if attempt.ended is None else attempt.ended)
                 busy.setdefault(run.lane(attempt.action), []).append((clock + attempt.sent, end))
         ended = None if task.ended is None else clock + task.ended
-        own = {"id": id.hex, "accepted": task.accepted.wall, "ended": ended, "busy": busy, "replans": task.counts.replans}
+        own = {"id": id.hex, "accepted": task.accepted.wall, "ended": ended, "busy": busy, "plans": task.plans}
         told.append({**named(task), **own, "code": task.ending.code.word if task.ending else "", "reason": task.reason})
     return [{**task, "seconds": (task["ended"] or task["accepted"]) - task["accepted"]} for task in told]
 

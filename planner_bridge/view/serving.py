@@ -113,20 +113,7 @@ def _task(data: Mapping[str, object]) -> UUID | None:
 
 
 _COMMANDS: Final = (
-    "check",
-    "why",
-    "goal",
-    "plans",
-    "start",
-    "pause",
-    "resume",
-    "cancel",
-    "take",
-    "give",
-    "step",
-    "settle",
-    "tell",
-    "answer",
+    *("check", "why", "goal", "plans", "start", "pause", "resume", "cancel", "take", "give", "step", "settle", "tell", "answer"),
 )
 """The values of ``do``."""
 _CONFIRMED: Final = ("pause", "resume", "cancel", "take", "give", "step")
@@ -231,9 +218,7 @@ class Operator:
             case "start":
                 name, given = _text(data, "plan"), data.get("given", {})
                 if name not in self._tasks.plans() or not isinstance(given, Mapping):
-                    raise InputError(
-                        f"expected the name of a plan that is loaded under 'plan', found {name[:40]!r}, and its parameters under 'given'"
-                    )
+                    raise InputError(f"expected a plan that is loaded under 'plan', and parameters under 'given', found {name[:40]!r}")
                 values = {str(key): parse_value(_text(given, key), key) for key in given}
                 self._begin(Wanted(uuid4(), name, parameters=values, is_plan=True))
             case "pause":

@@ -125,12 +125,12 @@ class Story(JournalHistory):
 
     def apply(self, number: int, time: float, record: records.Record) -> ReplayStep:
         """Note and execute a record, because the page shows the wishes of the runs; raises as `Replay.apply` does."""
+        is_said = not self._again and (isinstance(record, records.HandPut) or (isinstance(record, records.TaskHeld) and not record.task))
         super().apply(number, time, record)
         step = self.execute()
         assert step is not None, "this record was executed"
         self._tell(step)
-        mark, is_said = self._mark(record), isinstance(record, records.HandPut | records.TaskHeld)
-        if mark or is_said:
+        if (mark := self._mark(record)) or is_said:
             self.events[number] = {"time": self.time, "lines": words(step, self.replay) if is_said else (), "mark": mark}
         self._times.append(self.time)
         return step

@@ -138,7 +138,7 @@ function checkOf(model, call, check, now) {
   const [sign, colour] = isPast ? ["wait", "dim"] : check.truth === "false" && isToCome ? ["wait", "dim"] : TRUTH[check.truth];
   const value = check.truth === "false" && isToCome ? "not yet" : only && !["true", "false"].includes(only.value) ? figure(only.value) : isPast ? `now ${check.truth}` : check.truth;
   const source = KNOWN[only?.source ?? check.source] ?? only?.source ?? check.source;
-  return [el("div", { class: "cd", "data-truth": check.truth, "data-fact": only?.name ?? null, title: check.text }, icon(sign, colour), el("span", {}, inWords(check.text)), isPast ? el("small", {}, value) : el("b", {}, value),
+  return [el("div", { class: "cd", "data-truth": check.truth, "data-fact": only?.name ?? null, title: check.text }, icon(sign, colour), el("span", {}, inWords(check.text)), isPast ? el("span", { class: "dim value" }, value) : el("b", {}, value),
     el("small", {}, `${when} · ${source}`), only ? age(only) : el("small")),
   ...(only ? [] : reads.map((read) => el("div", { class: "cd", "data-fact": read.name }, el("span"), el("small", {}, `${inWords(read.name)}: ${KNOWN[read.source] ?? read.source}`), el("small", {}, figure(read.value))))),
   ...(check.others ? [el("small", { class: "dim" }, `and ${check.others} more facts`)] : [])];

@@ -175,11 +175,12 @@ function choicesOf(id, question, isFirst) {
 
 function fieldOf(id, question, isFirst) {
   const field = el("input", { class: "btn", type: "text", autocomplete: "off", spellcheck: "false", required: true, "aria-label": `answer: ${question.text}` });
-  const form = el("form", {}, field, el("button", { class: "btn askp" }, "Answer"));
+  const form = el("form", {}, field, el("button", { class: "btn" }, "Answer"));
   form.addEventListener("submit", (event) => {
     event.preventDefault();
     answer(id, field.value);
   });
+  field.placeholder = "in words";
   if (/\b(yes\/no|go on|ok)\b.{0,8}\?$/i.test(question.text)) return el("span", { class: "row" }, choicesOf(id, { choices: ["yes", "no"] }, isFirst), form);
   return form;
 }

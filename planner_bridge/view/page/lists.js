@@ -115,8 +115,8 @@ export function showDay(model, ui, width, choose) {
   for (const task of given) reasons.set(task.reason || words(task.code), [...(reasons.get(task.reason || words(task.code)) ?? []), task]);
   const title = tasks.length ? new Date(tasks[0].accepted * 1000).toLocaleDateString("en-GB", { weekday: "long", day: "numeric", month: "long" }) : "A day";
   section.replaceChildren(el("div", { class: "row" }, el("h2", { id: "day-title", class: "ti" }, title), el("span", { class: "sp" }), step("the day before", "back", 1), step("the next day", "fwd", -1)),
-    el("div", { class: "stats" }, stat("", "", String(tasks.length), tasks.length === 1 ? "task" : "tasks"), stat("ok", "ok", String(done.length), "done"), stat("bad", "bad", String(given.length), "given up"),
-      stat("cut", "cut", String(tasks.reduce((sum, task) => sum + task.replans, 0)), "new plans"), times.length ? stat("", "", span(times[Math.floor(times.length / 2)]), "median") : ""),
+    el("div", { class: "stats" }, stat("", "", String(tasks.length), tasks.length === 1 ? "task" : "tasks"), stat("ok", "ok", String(done.length), "done"), stat("bad", given.length ? "bad" : "dim", String(given.length), "given up"),
+      stat("cut", "cut", String(tasks.reduce((sum, task) => sum + Math.max(0, task.plans - 1), 0)), "new plans"), times.length ? stat("", "", span(times[Math.floor(times.length / 2)]), "median") : ""),
     hoursOf(tasks, width, ui, choose),
     given.length ? el("h2", {}, "What was given up") : "", given.length ? el("div", { class: "box" }, ...[...reasons].sort(([, a], [, b]) => b.length - a.length).slice(0, 8).map(([reason, those]) => el("div", { class: "ln", title: reason },
       icon("bad", "bad"), el("b", {}, String(those.length)), el("span", { class: "el sp" }, reason), el("span", { class: "dim" }, those.map((task) => clock(task.accepted, false)).slice(0, 4).join(" "))))) : "");
@@ -178,7 +178,7 @@ export function hourOf(model, ui, choose) {
   const lines = those.slice(-40).reverse().map((task) => {
     const [sign, colour] = look(task.code || "running");
     const line = el("button", { type: "button", class: "it one", title: `${task.title}: ${task.reason}` }, icon(sign, colour), el("span", { class: "l2" }, el("span", { class: "el" }, titleOf(task)), el("span", { class: "sp" }),
-      el("span", { class: colour === "bad" ? "bad" : "" }, colour === "bad" ? "given up" : task.replans ? `${task.replans + 1} plans` : task.code ? span(task.seconds) : "running"), el("span", {}, clock(task.accepted, false))));
+      el("span", { class: colour === "bad" ? "bad" : "" }, colour === "bad" ? "given up" : task.plans > 1 ? `${task.plans} plans` : task.code ? span(task.seconds) : "running"), el("span", {}, clock(task.accepted, false))));
     line.addEventListener("click", () => model.tasks.has(task.id) && choose({ kind: "task", key: task.id }));
     return line;
   });

@@ -1,6 +1,6 @@
 // The state that is shown: parts with things by key, as the server tells them. A frame changes it. And what follows from it.
 
-import { DONE, actionOf, inWords, look, stateOf, words } from "./words.js";
+import { DONE, actionOf, counted, inWords, look, stateOf, words } from "./words.js";
 
 export const PARTS = ["tasks", "runs", "calls", "requests", "facts", "servers", "questions", "hands", "troubles", "events"];
 const HEAD = ["number", "time", "began", "first", "problem", "clock", "journal", "name", "host"];
@@ -110,9 +110,10 @@ export function robotsOf(model) {
       for (const run of task.runs) {
         const isOpen = task.state !== "over" && (run === runs.at(-1) || !model.runs.get(run)?.is_own);
         for (const [key, call] of callsOf(model, run)) {
+          if (call.action.startsWith(`${call.lane}(`)) continue; // it is nobody's
           const robot = of(call.lane);
           const entry = { key, call, task: id, origin: model.runs.get(run)?.origin ?? null };
-          if (call.state === "running" || call.state === "suspended") robot.now ??= entry;
+          if ((call.state === "running" || call.state === "suspended") && isOpen && !model.runs.get(run).is_over) robot.now ??= entry;
           else if (call.state === "waiting" && isOpen && !(robot.next?.call.planned <= call.planned && robot.next.task === id)) robot.next ??= entry;
           if (call.ended !== null && !(robot.last?.call.ended >= call.ended)) robot.last = entry;
         }
@@ -134,7 +135,7 @@ export function eventsOf(model) {
     const add = (time, sign, colour, name, text, more = {}) => events.push({ time, sign, colour, name, text, rank: 3, key: "", task: "", ...more });
     for (const [id, task] of model.tasks) {
       add(task.time, "wait", "dim", titleOf(task), "accepted", { task: id, rank: 0 });
-      ownRuns(model, task).slice(0, 1).forEach((run) => add(model.runs.get(run).time, "cut", "dim", "Plan", `of ${callsOf(model, run).length} calls for ${titleOf(task)}`, { task: id, rank: 2 }));
+      ownRuns(model, task).slice(0, 1).forEach((run) => add(model.runs.get(run).time, "cut", "dim", "Plan", `of ${counted(callsOf(model, run).length, "call")} for ${titleOf(task)}`, { task: id, rank: 2 }));
       if (task.ended !== null) add(task.ended, task.code === "goal_reached" ? "ok" : "bad", task.code === "goal_reached" ? "ok" : "bad", titleOf(task), `${look(task.code)[2]}${task.code === "goal_reached" ? "" : `: ${task.reason}`}`, { task: id, rank: 4 });
     }
     for (const [key, request] of model.requests) {

@@ -245,7 +245,6 @@ function showWay(model) {
   const end = Math.max(live.began + 1, [...live.tasks.values()].some((task) => task.state !== "over") ? timeNow(live) : live.time);
   way.min = live.began;
   way.max = end;
-  way.step = Math.max(0.001, (end - live.began) / 5000);
   way.value = wanted ? wanted.time : past ? model.time : end;
   way.disabled = !live.number;
   const at = tod(model, past ? model.time : nowOf(model));

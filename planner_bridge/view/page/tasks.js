@@ -49,7 +49,7 @@ export function showLeft(model, ui, now, chooseTask, choose) {
     const [sign, colour, word] = look(state);
     const way = wayOf(model, id, task);
     const [title, rest, done] = [titleOf(task), restOf(model, id, task, state, now), way.length ? `${doneOf(way)}/${way.length}` : ""];
-    const looks = [title, state, rest, looksOf(way), ui.task === id].join("\n");
+    const looks = [title, state, rest, looksOf(way), ui.task === id && !ui.day].join("\n");
     return [id, looks, { class: "it", "data-task": id, "data-how": state, "aria-current": ui.task === id && !ui.day ? "true" : null, title: task.title }, () => [
       icon(sign, colour), el("span", { class: "el" }, el("span", { class: "l1" }, el("b", { class: "el" }, title), el("span", { class: "sr" }, word)),
         el("span", { class: "l2" }, segments(way, state === "asks"), el("span", {}, done), el("span", { class: "sp" }), el("span", { class: `el ${state === "asks" ? "ask" : ""}` }, rest)))]];
@@ -62,7 +62,7 @@ export function showLeft(model, ui, now, chooseTask, choose) {
   keyed($("over"), "button", over.slice(0, 12).map(([id, task]) => {
     const [sign, colour, word] = look(task.code);
     const [title, at] = [titleOf(task), tod(model, task.ended, false)];
-    return [id, [title, at, task.code, ui.task === id].join("\n"), { class: "it one", "data-task": id, "data-how": task.code, "aria-current": ui.task === id && !ui.day ? "true" : null, title: `${task.title}: ${word}` },
+    return [id, [title, at, task.code, ui.task === id && !ui.day].join("\n"), { class: "it one", "data-task": id, "data-how": task.code, "aria-current": ui.task === id && !ui.day ? "true" : null, title: `${task.title}: ${word}` },
       () => [icon(sign, colour), el("span", { class: "l2" }, el("span", { class: "el" }, title), el("span", { class: "sp" }), el("span", {}, at))]];
   }), chooseTask);
 }

@@ -66,13 +66,12 @@ export function showTimeline(model, id, now, chosen, choose) {
   const task = model.tasks.get(id);
   const place = $("lanes");
   const runs = task ? task.runs.filter((run) => model.runs.has(run)) : [...model.runs.keys()].filter((run) => !taskOf(model, run));
-  $("timeline").hidden = !runs.length;
-  if (!runs.length || !width) return;
   const isOpen = task ? task.state !== "over" : runs.some((run) => !model.runs.get(run).is_over);
-  const began = Math.min(task?.time ?? Infinity, ...runs.map((run) => model.runs.get(run).time));
   const end = isOpen ? now : task?.ended ?? model.time;
-  const bars = barsOf(model, runs, end, chosen);
-  const planned = plannedOf(model, runs);
+  const [bars, planned] = [barsOf(model, runs, end, chosen), plannedOf(model, runs)];
+  $("timeline").hidden = !bars.length && !planned.length;
+  if ($("timeline").hidden || !width) return;
+  const began = Math.min(task?.time ?? Infinity, ...runs.map((run) => model.runs.get(run).time));
   const all = [began, spanEnd(began, Math.max(began + 1, ...bars.map((bar) => bar.to), ...planned.map((bar) => bar.to), ...bars.map((bar) => bar.rest ?? 0), isOpen ? now : 0))];
   const [from, to] = zoom ?? all;
   const lanes = lanesOf(bars, planned);
@@ -86,6 +85,7 @@ export function showTimeline(model, id, now, chosen, choose) {
   const isSeen = isOpen && now >= from && now <= to;
   drawn.now.setAttribute("visibility", isSeen ? "visible" : "hidden");
   drawn.future.setAttribute("visibility", isSeen ? "visible" : "hidden");
+  for (const each of drawn.names) placeName(each, isSeen ? x : -1);
   if (isSeen) {
     const text = `now ${span(now - began)}`;
     const box = widthOf(text, true) + 12;
@@ -99,6 +99,19 @@ export function showTimeline(model, id, now, chosen, choose) {
     drawn.future.setAttribute("width", Math.max(0, width - x));
   }
   drawn.svg.setAttribute("aria-label", `${bars.length} requests of ${lanes.size} robots in ${span(end - began)}`);
+}
+
+// A planned name stands whole in its bar, or not at all; it steps aside of the line of now.
+function placeName(each, now) {
+  const { label, name, a, b } = each;
+  const wide = widthOf(name);
+  const isHit = now > a + 3 && now < a + 9 + wide;
+  const at = isHit ? now + 5 : a + 6;
+  const looks = at + wide + 4 > b ? "" : String(at);
+  if (each.at === looks) return;
+  each.at = looks;
+  label.setAttribute("x", at);
+  label.textContent = looks ? name : "";
 }
 
 // The end of the scale, with some room, so that not every moment is another scale.
@@ -160,7 +173,7 @@ function lanesOf(bars, planned) {
 // Draws all but the actual bars.
 function layOut(model, { layout, left, from, to, began, lanes, planned, runs, isSmall, place, choose }) {
   const x = (time) => Math.round((left + ((time - from) / (to - from)) * (width - left - 1)) * 10) / 10;
-  const parts = [], tops = new Map();
+  const parts = [], tops = new Map(), names = [];
   let y = TOP;
   for (const [name, lane] of lanes) {
     const [plans, actual] = [lane.plan.length, Math.max(1, lane.actual.length)];
@@ -182,8 +195,10 @@ function layOut(model, { layout, left, from, to, began, lanes, planned, runs, is
       narrow += `M${a} ${top}h${Math.max(0.5, b - a)}v${BAR - 1}h${-Math.max(0.5, b - a)}z`;
       continue;
     }
+    const label = svg("text", { class: "td", y: top + 14 });
+    names.push({ label, name: bar.name, a, b, at: null });
     const group = svg("g", { class: "bar planned" }, svg("title", {}, `planned: ${bar.action}, ${tod(model, bar.from)} to ${tod(model, bar.to)}${bar.isCut ? ", cut by a new plan" : ""}`),
-      svg("rect", { class: `pl ${bar.isCut ? "drop" : ""}`, x: a + 0.5, y: top + 0.5, width: Math.max(1, b - a - 1), height: BAR - 1, rx: 4 }), svg("text", { class: "td", x: a + 6, y: top + 14 }, whole(bar.name, b - a - 10)));
+      svg("rect", { class: `pl ${bar.isCut ? "drop" : ""}`, x: a + 0.5, y: top + 0.5, width: Math.max(1, b - a - 1), height: BAR - 1, rx: 4 }), label);
     group.addEventListener("click", () => choose(bar.key));
     parts.push(group);
   }
@@ -202,7 +217,7 @@ function layOut(model, { layout, left, from, to, began, lanes, planned, runs, is
   const now = svg("g", { class: "now" }, svg("path", { class: "nowl" }), svg("rect", { class: "nowb", y: 0, height: 20, rx: 4 }), svg("text", { class: "t-on", y: 14 }));
   const group = svg("g");
   const picture = svg("svg", { class: "g", width, height: height + 20, viewBox: `0 0 ${width} ${height + 20}`, role: "img" }, future, ...grid, ...parts, group, ...cuts, now);
-  drawn = { ...drawn, layout, x, left, tops, height, now, future, group, svg: picture, bars: new Map(), narrow: new Map() };
+  drawn = { ...drawn, layout, x, left, tops, names, height, now, future, group, svg: picture, bars: new Map(), narrow: new Map() };
   place.replaceChildren(picture);
 }
 

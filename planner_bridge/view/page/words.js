@@ -18,6 +18,8 @@ export function words(name) {
   return name.replaceAll("_", " ");
 }
 
+export const counted = (count, what) => `${count} ${what}${count === 1 ? "" : "s"}`;
+
 export function seconds(time, digits = 0) {
   return `${time.toFixed(digits)} s`;
 }

@@ -135,6 +135,6 @@ def test_a_moment_is_found_by_its_time(url: str) -> None:
 
 def test_a_day_has_all_tasks_with_what_robots_did_for_them(url: str) -> None:
     (task,) = json.loads(asked(url, "/day")[2])
-    assert (task["title"], task["code"], task["replans"]) == ("(and (at parcel1 hall) (at parcel2 kitchen))", "goal_reached", 2)
+    assert (task["title"], task["code"], task["plans"]) == ("(and (at parcel1 hall) (at parcel2 kitchen))", "goal_reached", 2)
     assert task["ended"] - task["accepted"] == task["seconds"] > 0.0
     assert set(task["busy"]) == {"r1", "r2"}

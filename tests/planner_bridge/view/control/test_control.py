@@ -66,6 +66,9 @@ def replies(tasks: FakeTasks, world: FakeWorld, *commands: object) -> list[str]:
         {"do": "goal", "goal": "\ud800"},
         {"do": "goal", "goal": "", "priority": 1.5},
         {"do": "goal", "goal": "", "priority": 2**31},
+        {"do": "start", "plan": "none"},
+        {"do": "start", "plan": "round", "given": ["rounds"]},
+        {"do": "start", "plan": "round", "given": {"rounds": 3}},
     ],
 )
 def test_what_is_no_command_is_refused(command: object) -> None:
@@ -100,6 +103,20 @@ def test_what_a_person_says_reaches_the_tasks_and_the_world() -> None:
     assert replies(tasks, world, {"do": "take", "name": "r1"}, {"do": "take", "name": "stubborn"}) == ["r1 is taken", "it may still move"]
     assert tasks.said == [("step", task), ("settle", id, True), ("settle", id, False), ("answer", id, "the kitchen")]
     assert world.knowledge.facts() == {("at", "r1", "hall"): True}
+
+
+def test_plans_by_hand_are_told_with_their_parameters_and_started_with_values_in_yaml() -> None:
+    tasks = FakeTasks()
+
+    async def course() -> tuple[Reply, Reply]:
+        operator = Operator(tasks, tasks, FakeWorld(KnowledgeBase()))
+        started = {"do": "start", "plan": "round", "given": {"rounds": "3", "place": "the hall"}}
+        return await operator.reply({"do": "plans"}), await operator.reply(started)
+
+    told, started = asyncio.run(course())
+    assert (told.plans, started.refused) == ({"empty": {}, "round": {"rounds": "2", "place": None}}, "")
+    (wanted,) = tasks.wanted
+    assert (wanted.text, wanted.is_plan, wanted.parameters) == ("round", True, {"rounds": 3, "place": "the hall"})
 
 
 def test_what_is_refused_is_said_in_a_sentence() -> None:
