@@ -223,7 +223,7 @@ class Story(JournalHistory):
         facts = dict(self.facts)
         if delta.sensed:
             sensed = {fluent_text(fluent): self.world.is_sensed(fluent) for fluent in self.world.facts()}
-            facts = {name: {**fact, "source": _source(is_sensed=sensed.get(name, False))} for name, fact in facts.items()}
+            facts = {name: {**fact, "source": "sensed" if sensed.get(name) else "assumed"} for name, fact in facts.items()}
         self.facts = facts | {fluent_text(fluent): self._fact(fluent, value) for fluent, value in delta.facts.items()}
 
     def _fact(self, fluent: Fluent, value: Value | Unknown, *, is_initial: bool = False) -> Thing:
@@ -231,7 +231,7 @@ class Story(JournalHistory):
         before = self.facts.get(fluent_text(fluent))
         return {
             "value": value_words(value),
-            "source": _source(is_sensed=self.world.is_sensed(fluent)),
+            "source": "sensed" if self.world.is_sensed(fluent) else "assumed",
             "since": self.time,
             "is_initial": is_initial,
             "was": "" if before is None or not isinstance(value, Unknown) else before["was"] or before["value"],  # known last
@@ -252,10 +252,6 @@ def value_words(value: Value | Unknown) -> str:
             return "unknown"
         case _:
             return text_of(value)
-
-
-def _source(*, is_sensed: bool) -> str:
-    return "sensed" if is_sensed else "assumed"
 
 
 def _said(meta: str) -> str:
@@ -324,9 +320,9 @@ def _task(story: Story, task: TaskHistory) -> Thing:
 
 def named(task: TaskHistory) -> Thing:
     """Return the text of a task, or its goal as its first plan has it, with its parameters; empty while nobody knows."""
-    wanted, own = task.accepted.wanted, task.own_runs
-    title = wanted.text or (str(own[0].source.plan.goal) if own else "")
-    return {"title": title, "given": {name: str(value) for name, value in wanted.parameters.items()}}
+    wanted, first = task.accepted.wanted, (*task.own_runs[:1],)
+    goals = (run.policy.problem.goal if run.policy and run.policy.problem else run.source.plan.goal for run in first)
+    return {"title": wanted.text or "".join(map(str, goals)), "given": {name: str(value) for name, value in wanted.parameters.items()}}
 
 
 def _run(run: RunHistory) -> Thing:
@@ -337,6 +333,7 @@ def _run(run: RunHistory) -> Thing:
         "origin": run.origin,
         "is_over": run.is_over,
         "is_own": run.is_own,
+        "is_foreseen": run.is_foreseen,
         "replan": run.replan and asdict(run.replan),
         "has_policy": bool(run.policy and run.policy.entries and run.policy.problem),
     }

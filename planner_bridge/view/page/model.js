@@ -1,6 +1,6 @@
 // The state that is shown: parts with things by key, as the server tells them. A frame changes it. And what follows from it.
 
-import { DONE, actionOf, counted, inWords, look, stateOf, words } from "./words.js";
+import { DONE, actionOf, clock, counted, inWords, look, stateOf, words } from "./words.js";
 
 export const PARTS = ["tasks", "runs", "calls", "requests", "facts", "servers", "questions", "hands", "troubles", "events"];
 const HEAD = ["number", "time", "began", "first", "problem", "clock", "journal", "name", "host"];
@@ -56,13 +56,13 @@ export const taskOf = (model, run) => once(model, "tasks", () => new Map([...mod
 const ownRuns = (model, task) => task.runs.filter((run) => model.runs.get(run)?.is_own);
 
 // Whether a run has another plan than the one before it, and does not only go on with its rest; and which plan of its task that is.
-export const isOther = (run) => Boolean(run?.replan && (run.replan.dropped.length || run.replan.added.length));
+export const isOther = (run) => Boolean(run?.replan && !run.is_foreseen && (run.replan.dropped.length || run.replan.added.length));
 export const numberOf = (model, runs, id) => 1 + runs.slice(1, runs.indexOf(id) + 1).filter((run) => isOther(model.runs.get(run))).length;
 
 export function titleOf(task) {
   if (!task) return "";
   const given = Object.entries(task.given ?? {}).map(([name, value]) => `${name}: ${value}`).join(", ");
-  const text = task.title ? inWords(task.title) : "a task whose goal is not planned for yet";
+  const text = inWords(task.title) || `task of ${clock(task.accepted)}`;
   return `${text.slice(0, 1).toUpperCase()}${text.slice(1)}${given ? ` (${given})` : ""}`;
 }
 

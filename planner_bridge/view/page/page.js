@@ -163,7 +163,7 @@ function drawn() {
   const open = [...model.tasks.values()].filter((task) => task.state !== "over");
   if (has("tasks", "calls", "runs", "questions", "hands", "facts", "time")) {
     showLeft(model, ui, now, chooseTask, choose);
-    if (!ui.day) showHead(model, ui.task, now, isNow);
+    if (!ui.day) showHead(model, ui.task, now, isNow, choose);
   }
   if (has("questions", "tasks")) showNeeds(model, isNow);
   if (has("requests", "calls", "runs", "tasks", "time") && !ui.day) showTimeline(model, ui.task, now, call, (key) => choose({ kind: "call", key }));

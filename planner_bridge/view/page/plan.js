@@ -1,5 +1,6 @@
 // The plan of a run: cards in the order of time, and links that carry the fact that is waited for; and the policy that it is a part of.
 
+import { isOther } from "./model.js";
 import { actionOf, el, fitted, inWords, look, mark, svg, widthOf } from "./words.js";
 
 const CARD = [128, 44], GAP = 88, ROW = 72, HEAD = 24, EDGE = 6;
@@ -71,7 +72,7 @@ export function showPlan(model, run, number, calls, chosen, choose, redraw) {
   $("plan").hidden = !run;
   $("plan-title").textContent = number > 1 ? `Plan ${number}` : "Plan";
   if (!run) return;
-  showChanges(model.runs.get(run)?.replan);
+  showChanges(isOther(model.runs.get(run)) ? model.runs.get(run).replan : null);
   if (told?.run !== run) {
     fetched(model, run, redraw);
     return;
@@ -83,7 +84,7 @@ export function showPlan(model, run, number, calls, chosen, choose, redraw) {
   }
   keepInSight(states);
   const [first, last] = sight();
-  const added = new Set(model.runs.get(run)?.replan?.added ?? []);
+  const added = new Set((isOther(model.runs.get(run)) && model.runs.get(run).replan.added) || []);
   if (shown !== run || first < range[0] || last > range[1]) {
     range = [first - 6, last + 6];
     shown = run;

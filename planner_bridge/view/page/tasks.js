@@ -2,7 +2,7 @@
 
 import { answerForm, hasNode, taskButtons, whyNoPlan } from "./controls.js";
 import { doneOf, expectedEnd, robotsOf, taskState, titleOf, wayOf } from "./model.js";
-import { actionOf, clock, el, icon, keyed, look, pill, placed, span, statePill, tod, words } from "./words.js";
+import { actionOf, button, clock, el, icon, keepingFocus, keyed, look, pill, placed, span, statePill, tod, words } from "./words.js";
 
 export const NO_PLAN = new Set(["no_plan", "planner_timeout", "replan_limit"]);
 const $ = (id) => document.getElementById(id);
@@ -115,7 +115,15 @@ export function showNeeds(model, isNow) {
 
 // --- the head of a task ---
 
-export function showHead(model, id, now, isNow) {
+let asked = { id: "", element: null };
+
+function more(id, choose) {
+  if (asked.id !== id) asked = { id, element: button("more", "all about the task, with its troubles", () => choose({ kind: "task", key: id }), "link") };
+  asked.element.setAttribute("aria-label", "more of the task");
+  return asked.element;
+}
+
+export function showHead(model, id, now, isNow, choose) {
   const task = model.tasks.get(id);
   const place = $("task");
   if (!task) {
@@ -131,14 +139,15 @@ export function showHead(model, id, now, isNow) {
   const stat = (value, text) => el("span", {}, el("b", {}, value), text ? el("span", { class: "dim" }, text) : "");
   const stats = [statePill(state, isOver && task.code !== "goal_reached" ? words(task.code) : undefined)];
   if (way.length) stats.push(el("span", {}, segments(way, state === "asks"), el("b", {}, `${doneOf(way)} of ${way.length}`)));
-  stats.push(isOver ? stat(span(elapsed), `until ${tod(model, task.ended)}`) : stat(span(elapsed), "so far"));
+  stats.push(isOver ? stat(span(elapsed), `long, until ${tod(model, task.ended)}`) : stat(span(elapsed), "so far"));
   if (end !== null) stats.push(stat(span(end - now), `to go, ends ${tod(model, end)}`));
   if (task.odds?.words) stats.push(el("span", { class: "odds", title: `${task.odds.words} likely to reach the goal without a new plan; in 90 % of such runs within ${span(task.odds.seconds?.ninety_percent ?? 0)}; ${task.odds.rests_on}` }, el("b", {}, task.odds.words), el("span", { class: "dim" }, "odds")));
+  stats.push(more(id, choose));
   if (task.priority) stats.push(stat(String(task.priority), "priority"));
   if (task.deadline !== null && !isOver) stats.push(el("span", {}, el("span", { class: "dim" }, "due"), el("b", {}, clock(task.deadline))));
   const reason = state === "asks" || task.code === "goal_reached" || (task.state === "running" && /^[\w-]+\(.*\) runs?$/s.test(task.reason)) ? "" : task.reason;
   const heading = el("h2", { class: "el", title: task.title || null }, title);
-  placed(place, [el("div", { class: "row task", "data-how": state }, heading, el("span", { class: "sp" }), isNow ? taskButtons(id, task, title) : ""),
+  keepingFocus(() => placed(place, [el("div", { class: "row task", "data-how": state }, heading, el("span", { class: "sp" }), isNow ? taskButtons(id, task, title) : ""),
     el("div", { class: "stats" }, ...stats), reason ? el("p", { class: "reason" }, reason) : "",
-    isNow && NO_PLAN.has(task.code) && hasNode() ? whyNoPlan(id, task.title) : ""].filter(Boolean));
+    isNow && NO_PLAN.has(task.code) && hasNode() ? whyNoPlan(id, task.title) : ""].filter(Boolean)));
 }

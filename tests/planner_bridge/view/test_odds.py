@@ -105,18 +105,19 @@ def test_the_page_says_the_chance_and_the_time_left_and_what_they_rest_on(
     page = chromium.new_page()
     with page_of(growing.place, KNOWN) as url:
         page.goto(url)
-        odds = page.locator(".task .odds")
-        expect(odds).to_contain_text(
-            re.compile(r"\d+\.\d % likely to reach the goal without a new plan, in \d+ s; in 90 % of such runs within \d+ s")
-        )
-        expect(odds).to_contain_text("learned from 100 of move: move")
+        odds = page.locator("#task .odds")
+        likely = r"\d+\.\d % likely to reach the goal without a new plan; in 90 % of such runs within \d+ s; learned from 100 of move: move"
+        expect(odds).to_have_attribute("title", re.compile(likely))
+        expect(page.locator("#task .stats")).to_contain_text(re.compile(r"\d+ s\s*to go"))
+        page.get_by_role("button", name="more of the task").click()
+        expect(page.locator("#detail")).to_contain_text("learned from 100 of move: move")
         first = odds.inner_text()
         later = next(number for number, task in told.items() if task["odds"] and task["odds"]["words"] != told[record]["odds"]["words"])
         growing.grow(later)
         expect(odds).to_contain_text(told[later]["odds"]["words"])
         assert odds.inner_text() != first
         growing.grow(growing.longest)
-        expect(page.locator(".task")).to_contain_text("goal reached")
+        expect(page.locator("#task")).to_contain_text("goal reached")
         expect(odds).to_have_count(0)
         page.close()
 
