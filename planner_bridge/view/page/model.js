@@ -129,16 +129,24 @@ export function robotsOf(model) {
 }
 
 // What has happened, in words, the last of it first.
+const told = new WeakMap(); // what is told of requests that are over, which stay as they are
+
 export function eventsOf(model) {
   return once(model, "events", () => {
     const events = [];
-    const add = (time, sign, colour, name, text, more = {}) => events.push({ time, sign, colour, name, text, rank: 3, key: "", task: "", ...more });
+    const make = (time, sign, colour, name, text, more = {}) => ({ time, sign, colour, name, text, rank: 3, key: "", task: "", ...more, id: `${time} ${sign} ${name} ${text} ${more.key ?? ""}` });
+    const add = (...parts) => events.push(make(...parts));
     for (const [id, task] of model.tasks) {
       add(task.time, "wait", "dim", titleOf(task), "accepted", { task: id, rank: 0 });
       ownRuns(model, task).slice(0, 1).forEach((run) => add(model.runs.get(run).time, "cut", "dim", "Plan", `of ${counted(callsOf(model, run).length, "call")} for ${titleOf(task)}`, { task: id, rank: 2 }));
       if (task.ended !== null) add(task.ended, task.code === "goal_reached" ? "ok" : "bad", task.code === "goal_reached" ? "ok" : "bad", titleOf(task), `${look(task.code)[2]}${task.code === "goal_reached" ? "" : `: ${task.reason}`}`, { task: id, rank: 4 });
     }
     for (const [key, request] of model.requests) {
+      if (told.has(request)) {
+        events.push(...told.get(request));
+        continue;
+      }
+      const first = events.length;
       const { name, objects } = actionOf(request.action, request.lane);
       const what = [request.lane === name ? "" : request.lane, ...objects].filter(Boolean).join(" ");
       const about = { key: `${request.run}/${request.call}`, task: taskOf(model, request.run), request: key };
@@ -146,12 +154,13 @@ export function eventsOf(model) {
       if (request.ended === null) continue;
       const [sign, colour, word] = look(stateOf(request, true));
       add(request.ended, sign, colour, name, `${what} ${request.declared || (colour === "bad" ? `failed: ${words(request.outcome)}` : word)}${request.message ? `: ${request.message}` : ""}`, { ...about, rank: 1 });
+      if (about.task) told.set(request, events.slice(first));
     }
     for (const [, run] of model.runs) {
       if (run.replan) add(run.time, "cut", "cut", isOther(run) ? "New plan" : "Goes on", run.replan.why, { rank: 2 });
     }
     for (const [id, question] of model.questions) add(question.since, "ask", "ask", "Question", question.text, { task: question.task, question: id });
     for (const [, event] of model.events) for (const line of event.lines) add(event.time, "hand", "ask", line, "");
-    return events.map((event) => ({ ...event, id: `${event.time} ${event.sign} ${event.name} ${event.text} ${event.key}` })).sort((a, b) => b.time - a.time || b.rank - a.rank);
+    return events.sort((a, b) => b.time - a.time || b.rank - a.rank);
   });
 }

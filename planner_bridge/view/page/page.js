@@ -177,7 +177,7 @@ function drawn() {
   if (has("tasks")) showStarts(model, !open.length && !ui.day, isNow);
   if (ui.day && has("tasks", "time")) askDay(live, () => draw("all"));
   for (const id of ["task", ...(ui.day ? ["timeline", "plan", "policy"] : [])]) $(id).hidden = Boolean(ui.day);
-  showDay(model, ui, $("mid").clientWidth - 32, choose);
+  showDay(model, ui, Math.max(240, ($("mid").clientWidth || innerWidth) - 32), choose);
   if (has("way", "events", "time")) showWay(model);
   showControls(isNow, open.some(isHeld));
   const asks = questionsOf(live).length;
@@ -240,6 +240,8 @@ function said(colour, text) {
   $("status").replaceChildren(colour === "ok" ? el("i", { class: "dot" }) : icon(colour === "bad" ? "bad" : "back", colour), el("span", { class: "el" }, text));
 }
 
+let troubled = ""; // the problem that was said last
+
 function showWay(model) {
   const way = $("way");
   const end = Math.max(live.began + 1, [...live.tasks.values()].some((task) => task.state !== "over") ? timeNow(live) : live.time);
@@ -259,7 +261,9 @@ function showWay(model) {
   $("host").textContent = live.host ? `on ${live.host}` : "";
   showMarks(end);
   const problem = model.problem || live.problem;
-  if (problem) said("bad", problem);
+  if (problem && problem !== troubled) say(problem, true);
+  troubled = problem;
+  if (problem) said("bad", "cannot be read on");
   else if (!isConnected) said("bad", "not connected");
   else if (past) said("run", "history");
   else said("ok", "live");

@@ -9,20 +9,24 @@ let told = null; // the layout of the plan that is shown: {run, sections}
 let asked = ""; // the run whose layout is fetched
 let boxes = new Map(); // the cards that are there, by step
 let shown = ""; // what the cards were drawn for
-let range = [0, 0]; // the columns that are drawn
+let range = [0, 0, 0, 0]; // the part that is drawn: from which column to which, and from which height to which
 
 const place = $("picture");
 const columnOf = (pixels) => Math.floor((pixels - EDGE) / (CARD[0] + GAP));
 
 export function watchPlan(redraw) {
   place.addEventListener("scroll", () => {
-    const [first, last] = sight();
-    if (first < range[0] || last > range[1]) redraw();
+    if (isOutside()) redraw();
   });
   new ResizeObserver(redraw).observe(place);
 }
 
-const sight = () => [columnOf(place.scrollLeft), columnOf(place.scrollLeft + place.clientWidth)];
+const sight = () => [columnOf(place.scrollLeft), columnOf(place.scrollLeft + place.clientWidth), place.scrollTop, place.scrollTop + place.clientHeight];
+
+function isOutside() {
+  const [first, last, top, bottom] = sight();
+  return first < range[0] || last > range[1] || top < range[2] || bottom > range[3];
+}
 
 // Asks for the layout of a run, which never changes; returns whether it is there.
 async function fetched(model, run, redraw) {
@@ -83,10 +87,10 @@ export function showPlan(model, run, number, calls, chosen, choose, redraw) {
     return;
   }
   keepInSight(states);
-  const [first, last] = sight();
   const added = new Set((isOther(model.runs.get(run)) && model.runs.get(run).replan.added) || []);
-  if (shown !== run || first < range[0] || last > range[1]) {
-    range = [first - 6, last + 6];
+  if (shown !== run || isOutside()) {
+    const [first, last, top, bottom] = sight();
+    range = [first - 3, last + 3, top - 300, Math.max(bottom, top + 320) + 300];
     shown = run;
     draw(run, choose, added);
   }
@@ -108,10 +112,13 @@ function keepInSight(states) {
 }
 
 function draw(run, choose, added) {
-  const isNear = (cell) => cell.column >= range[0] && cell.column <= range[1];
+  const isNear = (cell) => cell.column >= range[0] && cell.column <= range[1] && cell.y >= range[2] - ROW && cell.y <= range[3];
   const focused = document.activeElement?.dataset?.step;
   boxes = new Map();
-  const links = told.links.filter((link) => told.cells.get(link.before).column <= range[1] && told.cells.get(link.after).column >= range[0]);
+  const links = told.links.filter((link) => {
+    const [a, b] = [told.cells.get(link.before), told.cells.get(link.after)];
+    return a.column <= range[1] && b.column >= range[0] && Math.min(a.y, b.y) <= range[3] && Math.max(a.y, b.y) >= range[2] - ROW;
+  });
   const drawn = links.map(linkOf);
   const cards = [...told.cells.values()].filter(isNear).sort((a, b) => a.column - b.column || a.row - b.row).map((cell) => cardOf(cell, run, choose, added));
   const picture = svg("svg", { class: "g", width: told.width, height: told.height, viewBox: `0 0 ${told.width} ${told.height}`, role: "group", "data-run": run },

@@ -121,17 +121,26 @@ function spanEnd(began, end) {
   return began + Math.ceil(length / unit) * unit;
 }
 
+const over = new WeakMap(); // the bars of requests that are over, which stay as they are
+
 function barsOf(model, runs, end, chosen) {
   const bars = [];
   for (const run of runs) {
     const isOver = model.runs.get(run).is_over;
     for (const [id, request] of requestsOf(model, run)) {
+      const known = over.get(request);
+      if (known && request.run === run) {
+        known.isChosen = known.call === chosen;
+        bars.push(known);
+        continue;
+      }
       const call = `${run}/${request.call}`;
       const state = stateOf(request, isOver);
       const duration = model.calls.get(call)?.duration ?? null;
       bars.push({ id, call, lane: request.lane, from: request.sent, to: request.ended ?? (isOver ? request.accepted ?? request.sent : end), state, attempt: request.attempt, isChosen: call === chosen,
         rest: state === "running" && duration !== null && request.sent + duration > end ? request.sent + duration : null, name: actionOf(request.action).name, action: request.action,
         words: request.declared || request.message || request.feedback || look(state)[2] });
+      if (request.ended !== null) over.set(request, bars.at(-1));
     }
   }
   return bars.sort((a, b) => a.from - b.from);
@@ -246,8 +255,10 @@ const why = (text) => text.replace(/^a new plan is needed: /, "").split(/[;:]/)[
 function drawBars(model, bars, choose) {
   const seen = new Set(), paths = new Map();
   for (const bar of bars) {
-    const [a, b] = [Math.max(drawn.x(bar.from), drawn.left), Math.min(drawn.x(bar.to), width) - (bar.state === "running" ? 0 : 1.5)];
-    if (Math.max(b, bar.rest === null ? 0 : drawn.x(bar.rest)) <= drawn.left || a >= width) continue;
+    const ends = drawn.x(Math.max(bar.to, bar.rest ?? 0));
+    if (ends < drawn.left - 1 || drawn.x(bar.from) >= width) continue;
+    const a = Math.max(drawn.x(bar.from), drawn.left);
+    const b = Math.max(a + 1, Math.min(drawn.x(bar.to), width) - (bar.state === "running" ? 0 : 1.5));
     const top = drawn.tops.get(bar.lane).actual + bar.row * ROW;
     const colour = look(bar.state)[1];
     if (b - a < NARROW && bar.rest === null && !bar.isChosen) {

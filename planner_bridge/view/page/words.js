@@ -97,7 +97,16 @@ export function inWords(text) {
 }
 
 // The name of an action, who acts, and on what: "move(r1, hall, kitchen)".
+const actions = new Map();
+
 export function actionOf(text, lane = "") {
+  const key = `${lane} ${text}`;
+  if (actions.size > 20000) actions.clear();
+  if (!actions.has(key)) actions.set(key, split(text, lane));
+  return actions.get(key);
+}
+
+function split(text, lane) {
   const [, name, list] = /^([^(]*)\((.*)\)$/s.exec(text) ?? [null, text, ""];
   const others = list ? list.split(", ") : [];
   return { name: words(name), who: lane, objects: others[0] === lane ? others.slice(1) : others };

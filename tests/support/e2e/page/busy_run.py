@@ -34,7 +34,7 @@ def rounds(calls: int, robots: int = 4) -> PlanGraph:
     return PlanGraph(acts, tuple(pairs))
 
 
-AT_HOME = {("at", f"r{robot}", place): place == "hall" for robot in range(4) for place in ("hall", "kitchen")}
+AT_HOME = {("at", f"r{robot}", place): place == "hall" for robot in range(50) for place in ("hall", "kitchen")}
 
 
 class Count(Observer):
