@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 from itertools import takewhile
 from pathlib import Path
 from urllib.parse import urlsplit
@@ -19,8 +18,9 @@ from pnm.journal.records import TaskAccepted
 from tests.support.e2e.deployment import ProblemDeployment
 from tests.support.e2e.page.browser import browser
 from tests.support.e2e.page.journals import steps
-from tests.support.e2e.page.serving import announced, asked
-from tests.support.e2e.plan_deployment import ClientProgram, Serving
+from tests.support.e2e.page.nodes import Node, begun, serve
+from tests.support.e2e.page.serving import asked
+from tests.support.e2e.plan_deployment import ClientProgram
 from tests.support.files import ROOT, written
 from tests.support.processes import LIMIT
 from tests.support.runs.files import CUPS, DROPS, TOLD
@@ -40,34 +40,9 @@ SIZES = {"wide": (1280, 900), "narrow": (400, 800)}
 REFUSED = re.compile("409 \\(Conflict\\)|403 \\(Forbidden\\)")
 
 
-@dataclass(frozen=True)
-class Node:
-    """A node whose page controls it, in whose world robots are at work."""
-
-    url: str
-    journal: Path
-
-    @property
-    def address(self) -> str:
-        return self.url.partition("#")[0]
-
-
 @pytest.fixture(scope="module")
 def node(deploy_for_module: Callable[..., ProblemDeployment]) -> Node:
     return serve(deploy_for_module("delivery/p01", speed="4", quick=True))
-
-
-def serve(deployment: ProblemDeployment, *more: str) -> Node:
-    deployment.simulate().ready()
-    return begun(deployment, *more)[1]
-
-
-def begun(deployment: ProblemDeployment, *more: str) -> tuple[Serving, Node]:
-    """Start a node, or another one that goes on with its journal."""
-    journal = deployment.folder / "node.journal"
-    options = ["--view=0", "--view-controls", "--ask-for-help", "--journal", str(journal), *more]
-    serving = deployment.pnm(Serving, "serve", *deployment.files, *options).ready()
-    return serving, Node(announced(serving.err), journal)
 
 
 @pytest.fixture(scope="module")

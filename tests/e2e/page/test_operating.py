@@ -9,9 +9,9 @@ import pytest
 from axe_playwright_python.sync_playwright import Axe
 from playwright.sync_api import Browser, Page, expect
 
-from tests.e2e.page.test_acceptance import Node, serve
 from tests.support.e2e.deployment import ProblemDeployment
 from tests.support.e2e.page.browser import browser
+from tests.support.e2e.page.nodes import Node, serve
 from tests.support.files import written
 from tests.support.processes import LIMIT
 
