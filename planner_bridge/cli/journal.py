@@ -24,9 +24,8 @@ from planner_bridge.cli.options import command
 from planner_bridge.explanations.history import JournalHistory
 from planner_bridge.node.node_journal import latest_journal
 from planner_bridge.tasks.result import TASKS
-from planner_bridge.view.story import timelines, timelines_svg
+from planner_bridge.view.story import timelines_as
 from pnm.core.knowledge_base import statement_text
-from pnm.core.pictures.timeline import timelines_xes
 from pnm.errors import InputError, counted, printable
 from pnm.files.database.place import Place, place_of, without_password
 from pnm.journal.codec import Undecodable
@@ -62,7 +61,7 @@ def replay(journal: str | None, last: int | None, as_json: bool, timeline: Path 
             raise InputError("expected --view or --timeline, not both")
         options.check_output(timeline, force=force)
         with errors_of_journals():
-            picture = timelines_svg(chosen_journal(journal))
+            picture = timelines_as("svg", chosen_journal(journal))
         options.write(timeline, picture, force=force)
         return 0
     if view is not None:
@@ -122,7 +121,7 @@ def history(journal: str | None, as_json: bool, verbose: bool, written_as: str, 
         raise InputError("the list goes to the terminal; expected --format xes with --output")
     if written_as == "xes":
         with errors_of_journals():
-            log = timelines_xes(timelines(chosen_journal(journal)))
+            log = timelines_as("xes", chosen_journal(journal))
         options.write(output, log, force=force)
         return 0
     with errors_of_journals():

@@ -241,9 +241,9 @@ def looked_at(
             page.follow(str(kept.place) if isinstance(kept.place, Path) else kept.place.text, *known)
         yield kept, page
         if timeline is not None:
-            from planner_bridge.view.story import timelines_svg  # here, because most runs are not drawn
+            from planner_bridge.view.story import timelines_as  # here, because most runs are not drawn
 
-            options.write(timeline, timelines_svg(kept.place, only_last=True), force=force)
+            options.write(timeline, timelines_as("svg", kept.place, only_last=True), force=force)
         if rates is not None:
             from planner_bridge.explanations.learning import learn_into  # here, because nothing is learned from most runs
 

@@ -36,7 +36,7 @@ from planner_bridge.view.serving import MAX_TEXT, Controlled, Reply
 from planner_bridge.view.story import Followed, Story, Thing, View, detail, named, view_of
 from pnm.core.knowledge_base import KnowledgeBase
 from pnm.core.logic.expressions import fluent_text
-from pnm.core.machine.plan_graph import Flow, PlanGraph
+from pnm.core.machine.plan_graph import PlanGraph
 from pnm.core.pictures.plan_picture import held, laid_out, words_of
 from pnm.errors import InputError, PnmError, printable
 from pnm.files.database.place import Place
@@ -98,7 +98,9 @@ class ViewApp:
             Route("/call", partial(self._told_of_call, tell=detail)),
             Route("/why", self._why),
             Route("/plan", partial(self._of_run, tell=lambda _, run: run.source.plan, response=lambda plan: ShownResponse(drawn(plan)))),
-            Route("/policy", partial(self._of_run, tell=Followed.by, response=_policy)),
+            Route(
+                "/policy", partial(self._of_run, tell=Followed.by, response=lambda of: Response(of.picture(), 200, None, "image/svg+xml"))
+            ),
             Route("/day", self._day),
             Route("/events", self._events),
             Route("/metrics", self._numbers),
@@ -249,10 +251,6 @@ class _Guarded:
         await app(scope, receive, guarded)
 
 
-def _policy(followed: Followed) -> Response:
-    return Response(followed.picture(), media_type="image/svg+xml")
-
-
 def day_of(place: Place) -> list[dict[str, Any]]:
     """Return the tasks of a journal in times of day, with when each robot was at work for them, as JSON."""
     history = JournalHistory.read(place)
@@ -271,16 +269,15 @@ def day_of(place: Place) -> list[dict[str, Any]]:
 
 def drawn(plan: PlanGraph) -> list[dict[str, Any]]:
     """Return where the steps of a plan stand, and their arrows, as JSON: first those of the plan, then what its steps hold."""
-    flows = [("", plan.flow), *((name, flow) for step in plan.every_step for name, flow in held(step))]
-    return [{"name": name, **_laid_out(flow)} for name, flow in flows]
-
-
-def _laid_out(flow: Flow) -> dict[str, Any]:
-    layout = laid_out(flow, sys.maxsize)
-    cells = [
-        {"step": index, "column": cell.column, "row": cell.row, **words_of(cell.step)._asdict()} for index, cell in layout.cells.items()
-    ]
-    return {"cells": cells, "arrows": [{**asdict(arrow), "protects": [*map(fluent_text, arrow.protects)]} for arrow in layout.arrows]}
+    told = []
+    for name, flow in [("", plan.flow), *((name, flow) for step in plan.every_step for name, flow in held(step))]:
+        layout = laid_out(flow, sys.maxsize)
+        cells = [
+            {"step": index, "column": cell.column, "row": cell.row, **words_of(cell.step)._asdict()} for index, cell in layout.cells.items()
+        ]
+        arrows = [{**asdict(arrow), "protects": [*map(fluent_text, arrow.protects)]} for arrow in layout.arrows]
+        told.append({"name": name, "cells": cells, "arrows": arrows})
+    return told
 
 
 def _number(text: str) -> int | None:

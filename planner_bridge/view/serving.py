@@ -83,10 +83,6 @@ def _text(data: Mapping[str, object], name: str) -> str:
     return value
 
 
-def _yaml(value: object) -> str | None:
-    return value if value is None or isinstance(value, str) else json.dumps(value, ensure_ascii=False, default=str)
-
-
 def _texts(data: Mapping[str, object], name: str) -> tuple[str, ...]:
     values = data.get(name, [])
     if not isinstance(values, list):
@@ -214,7 +210,14 @@ class Operator:
                 self._begin(Wanted(uuid4(), goal, priority))
             case "plans":
                 plans = self._tasks.plans()
-                return Reply(plans={name: {known: _yaml(value) for known, value in plans[name].items()} for name in plans})
+                texts = {
+                    name: {
+                        known: value if value is None or isinstance(value, str) else json.dumps(value, ensure_ascii=False, default=str)
+                        for known, value in given.items()
+                    }
+                    for name, given in plans.items()
+                }
+                return Reply(plans=texts)
             case "start":
                 name, given = _text(data, "plan"), data.get("given", {})
                 if name not in self._tasks.plans() or not isinstance(given, Mapping):

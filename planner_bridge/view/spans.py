@@ -116,7 +116,7 @@ class Spans(Story):
             began = self._kept.epoch_began(epoch)
             self._epoch, self._is_exact = epoch, False
             self._clocks.append((self.time, began - self.time) if self._clocks else (-inf, began - time))
-        is_again = self._again > 0
+        is_again = self._repetition.left > 0
         match record:
             case records.TaskAccepted(wall=wall) if not (is_again or self._is_exact):
                 self._clocks[-1], self._is_exact = (self._clocks[-1][0], wall - time), True

@@ -34,7 +34,7 @@ from pnm.core.logic.conditions import Condition, conjuncts, evaluate, fluents, o
 from pnm.core.logic.expressions import Fluent, Unknown, Value, fluent_text, text_of
 from pnm.core.machine.plan_graph import Ordering, PlanEvent, step_words
 from pnm.core.machine.requests import CallOutcome, Ended, OutcomeKind
-from pnm.core.pictures.timeline import TimedAttempt, TimedCall, TimedPlan, Timeline, timeline_svg
+from pnm.core.pictures.timeline import TimedAttempt, TimedCall, TimedPlan, Timeline, timeline_svg, timelines_xes
 from pnm.errors import PnmError
 from pnm.files.database.place import Place, place_of
 from pnm.journal import records
@@ -125,7 +125,8 @@ class Story(JournalHistory):
 
     def apply(self, number: int, time: float, record: records.Record) -> ReplayStep:
         """Note and execute a record, because the page shows the wishes of the runs; raises as `Replay.apply` does."""
-        is_said = not self._again and (isinstance(record, records.HandPut) or (isinstance(record, records.TaskHeld) and not record.task))
+        of_all = isinstance(record, records.HandPut) or (isinstance(record, records.TaskHeld) and not record.task)
+        is_said = of_all and not self._repetition.left
         super().apply(number, time, record)
         step = self.execute()
         assert step is not None, "this record was executed"
@@ -208,7 +209,8 @@ class Story(JournalHistory):
         for command in step.commands:
             match command:
                 case Ask(id, question) if question.layer is Layer.PERSON:
-                    text = _said(question.meta) or question.name
+                    said = json.loads(question.meta) if question.meta else None
+                    text = (said if isinstance(said, str) else said and json.dumps(said, ensure_ascii=False)) or question.name
                     self._questions[id.hex] = _question("a person", text, made.name, self.time, made.task)
                 case Ask(id, question):
                     self._questions[id.hex] = _question("a source of knowledge", str(question), made.name, self.time, made.task)
@@ -254,11 +256,6 @@ def value_words(value: Value | Unknown) -> str:
             return text_of(value)
 
 
-def _said(meta: str) -> str:
-    said = json.loads(meta) if meta else None
-    return said if isinstance(said, str) else "" if said is None else json.dumps(said, ensure_ascii=False)
-
-
 # --- the view of a story --------------------------------------------------------------------------
 # The view of a story: what is shown after its last record. A pure function, which changes nothing that can be seen.
 
@@ -275,6 +272,11 @@ def view_of(story: Story) -> View:
         declared = told.get(f"{attempt.run.hex}/{attempt.call}", "") if has_succeeded else ""
         return story.once(id.hex, (attempt, declared), partial(_request, story, attempt, declared))
 
+    def trouble_of(run: RunHistory, trouble: Trouble) -> Thing:
+        step = {"run": run.id.hex, "call": trouble.step.index, "step": step_words(trouble.step)}
+        cause = {"cause": trouble.cause.cause.value, "expected": trouble.cause.expected, "observed": trouble.cause.observed}
+        return {**step, **cause, "is_failure": trouble.is_failure, "time": trouble.time, "followed": trouble.followed}
+
     return View(
         story.number,
         story.time,
@@ -290,7 +292,7 @@ def view_of(story: Story) -> View:
         _servers(story),
         story.questions,
         {name: {"words": str(hand)} for name, hand in story.replay.hands.taken.items()},
-        {key: story.once(key, trouble, partial(_trouble, run, trouble)) for key, (run, trouble) in troubles.items()},
+        {key: story.once(key, trouble, partial(trouble_of, run, trouble)) for key, (run, trouble) in troubles.items()},
         {str(number): event for number, event in story.events.items()},
     )
 
@@ -394,20 +396,6 @@ def _request(story: Story, attempt: Attempt, declared: str) -> Thing:
     }
 
 
-def _trouble(run: RunHistory, trouble: Trouble) -> Thing:
-    return {
-        "run": run.id.hex,
-        "call": trouble.step.index,
-        "step": step_words(trouble.step),
-        "is_failure": trouble.is_failure,
-        "cause": trouble.cause.cause.value,
-        "expected": trouble.cause.expected,
-        "observed": trouble.cause.observed,
-        "time": trouble.time,
-        "followed": trouble.followed,
-    }
-
-
 def _servers(story: Story) -> dict[str, Thing]:
     """Return the action servers, as far as the journal knows: with how many requests that they have not carried out."""
     actions: dict[str, dict[str, None]] = {}
@@ -445,10 +433,10 @@ def timelines(journal: Place | str) -> tuple[Timeline, ...]:
     return tuple(told)
 
 
-def timelines_svg(journal: Place, *, only_last: bool = False) -> str:
-    """Return the picture of the timelines of the tasks in a journal, or of that of the last one alone."""
-    told = timelines(journal)
-    return timeline_svg(*told[-1:] if only_last else told)
+def timelines_as(form: str, journal: Place, *, only_last: bool = False) -> str:
+    """Return the timelines of the tasks in a journal, or that of the last one alone: as a picture (`svg`), or a log of events (`xes`)."""
+    told = timelines(journal)[-1:] if only_last else timelines(journal)
+    return timelines_xes(told) if form == "xes" else timeline_svg(*told)
 
 
 def _timed_plan(history: JournalHistory, run: RunHistory, began: float) -> TimedPlan:

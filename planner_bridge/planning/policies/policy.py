@@ -231,23 +231,24 @@ class WithLuck:
 
     def stretch(self, state: KnowledgeBase) -> Plan | None:
         """Return what to do from a state up to the next action with several outcomes; None if no rest of the plan leads to the goal."""
-        steps, uncertain = self.whole.steps, self.problem.domain.uncertain
+        steps, domain = self.whole.steps, self.problem.domain
+
+        def leads_on(steps: Sequence[PlanStep], state: KnowledgeBase) -> bool:
+            for step in steps:
+                ground = ground_step(domain, step.action, step.arguments, step.duration, "", self.problem.members)
+                if evaluate(ground.precondition, state) is not True:
+                    return False
+                begun = _after(ground.start_effects, state)
+                if not all(evaluate(condition, begun) is True for condition in (ground.invariant, ground.end_condition)):
+                    return False
+                state = _after(next((way.effects for way in ground.outcomes if way.name == step.outcome), ground.end_effects), begun)
+            return evaluate(self.problem.goal, state) is True
+
         for first in reversed(range(len(steps))):  # the shortest rest: with luck, the next one is shorter
-            if self._leads_on(steps[first:], state):
-                last = next((place for place in range(first, len(steps)) if steps[place].action in uncertain), len(steps))
+            if leads_on(steps[first:], state):
+                last = next((place for place in range(first, len(steps)) if steps[place].action in domain.uncertain), len(steps))
                 return replace(self.whole, steps=steps[first : last + 1])
         return None
-
-    def _leads_on(self, steps: Sequence[PlanStep], state: KnowledgeBase) -> bool:
-        for step in steps:
-            ground = ground_step(self.problem.domain, step.action, step.arguments, step.duration, "", self.problem.members)
-            if evaluate(ground.precondition, state) is not True:
-                return False
-            begun = _after(ground.start_effects, state)
-            if not all(evaluate(condition, begun) is True for condition in (ground.invariant, ground.end_condition)):
-                return False
-            state = _after(next((way.effects for way in ground.outcomes if way.name == step.outcome), ground.end_effects), begun)
-        return evaluate(self.problem.goal, state) is True
 
 
 class Thinking:
