@@ -14,6 +14,7 @@ from io import BytesIO
 from pathlib import Path
 from time import time
 from typing import Any, Final
+from urllib.parse import urlsplit
 
 import click
 from rich.text import Text
@@ -27,7 +28,7 @@ from planner_bridge.tasks.result import TASKS
 from planner_bridge.view.story import timelines_as
 from pnm.core.knowledge_base import statement_text
 from pnm.errors import InputError, counted, printable
-from pnm.files.database.place import Place, place_of, without_password
+from pnm.files.database.place import Place, place_of
 from pnm.journal.codec import Undecodable
 from pnm.journal.kept import DAY, KEPT, LISTED, JournalChoice, JournalError
 from pnm.journal.lease import take
@@ -206,7 +207,7 @@ def telemetry(journal: str | None, otlp: str | None, follows: bool, mcap: Path |
     send = collector(otlp or "")
     with errors_of_journals():
         count = export(chosen_journal(journal), send, follows=follows)
-    print(f"{counted(count, 'span')} sent to {without_password(otlp or '')}", file=sys.stderr)
+    print(f"{counted(count, 'span')} sent to {urlsplit(otlp or '').hostname}", file=sys.stderr)
     return 0
 
 

@@ -112,8 +112,11 @@ def pose(what: str, place: str, topic: str, bindings: Path, action: str, seconds
 
     if not re.fullmatch(r"[A-Za-z][\w-]*", place):
         raise InputError(f"{place!r} cannot be a place of PDDL; expected letters, digits, - and _")
-    text = read_text(bindings, MAX_BYTES)
-    with_row(text, str(bindings), place, Pose(0.0, 0.0).row, action)  # says what is wrong before the robot is listened to
+
+    def written(row: str) -> str:
+        return with_row(read_text(bindings, MAX_BYTES), str(bindings), place, row, action)
+
+    written(Pose(0.0, 0.0).row)  # says what is wrong before the robot is listened to
 
     async def hear() -> Pose:
         from pnm.ros.node.ros_thread import RosThread  # here, because rclpy is an extra
@@ -124,7 +127,7 @@ def pose(what: str, place: str, topic: str, bindings: Path, action: str, seconds
             return Pose(*await heard_pose(ros, topic, seconds))
 
     found = run_async(hear())
-    options.write_files({bindings: with_row(text, str(bindings), place, found.row, action)}, force=True)
+    options.write_files({bindings: written(found.row)}, force=True)
     print(f"{place}: {found.row}")
     return 0
 

@@ -10,7 +10,7 @@ import logging
 import socket
 from bisect import bisect_left
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import closing, suppress
+from contextlib import closing
 from dataclasses import dataclass, replace
 from hashlib import blake2b
 from math import inf
@@ -293,11 +293,13 @@ def collector(url: str) -> Send:
 
     Raises an `InputError` if the URL is none, or an extra is not installed.
     """
-    parts, port = urlsplit(url), 0
-    with suppress(ValueError):  # a number that is no port
+    try:
+        parts = urlsplit(url)
         port = parts.port or (443 if parts.scheme == "https" else 80)
-    if parts.scheme not in ("http", "https") or not parts.hostname or not port:
-        raise InputError(f"expected the URL of a collector, such as http://localhost:4318, found {url!r}")
+    except ValueError as error:  # an address or a port that is none
+        raise InputError(f"expected the URL of a collector, such as http://localhost:4318: {error}") from error
+    if parts.scheme not in ("http", "https") or not parts.hostname:
+        raise InputError("expected the URL of a collector, such as http://localhost:4318")
     try:
         from opentelemetry.exporter.otlp.proto.http.trace_exporter import OTLPSpanExporter
         from opentelemetry.sdk.trace.export import SpanExportResult

@@ -18,17 +18,30 @@ from pnm.files.yaml_nodes import Node, compose, load_yaml
 _SIZES: Final = re.compile(rb"P[25]\s+(?:#[^\n]*\n\s*)*(\d+)\s+(\d+)|\x89PNG\r\n\x1a\n....IHDR(....)(....)", re.DOTALL)
 """Width and height in the header of a PGM or a PNG."""
 _HEADER: Final = 4096
+_FRAME: Final = re.compile(r"[\w/.-]{1,200}", re.ASCII)
+_WORDS: Final = frozenset({"y", "n", "yes", "no", "on", "off", "true", "false", "null"})
+"""Words that YAML reads as something else than text."""
 
 
 @dataclass(frozen=True)
 class Pose:
-    """A pose in the plane: metres, and the rotation about the vertical axis as z and w of a quaternion."""
+    """A pose in the plane: metres, and the rotation about the vertical axis as z and w of a quaternion.
+
+    Raises an `InputError` for numbers that are not finite, and for what is no name of a frame.
+    """
 
     x: float
     y: float
     z: float = 0.0
     w: float = 1.0
     frame: str = "map"
+
+    def __post_init__(self) -> None:
+        """Refuse what is no pose: it may come from anybody who publishes."""
+        if not all(map(math.isfinite, (self.x, self.y, self.z, self.w))):
+            raise InputError(f"expected a pose of finite numbers, found x {self.x}, y {self.y}, z {self.z}, w {self.w}")
+        if not _FRAME.fullmatch(self.frame):
+            raise InputError(f"expected a pose in a frame of letters, digits, _, /, . and -, found {self.frame[:40]!r}")
 
     @staticmethod
     def turned(x: float, y: float, yaw: float = 0.0) -> Pose:
@@ -39,7 +52,12 @@ class Pose:
     def row(self) -> str:
         """A ``geometry_msgs/PoseStamped`` as a row of a table, to millimetres."""
         place, turn = f"{{x: {self.x:.3f}, y: {self.y:.3f}}}", f"{{z: {self.z:.4f}, w: {self.w:.4f}}}"
-        return f"{{header: {{frame_id: {self.frame}}}, pose: {{position: {place}, orientation: {turn}}}}}"
+        return f"{{header: {{frame_id: {_scalar(self.frame)}}}, pose: {{position: {place}, orientation: {turn}}}}}"
+
+
+def _scalar(text: str) -> str:
+    """Return a name as YAML has it: in quotes, unless it is read as text without."""
+    return text if text[0].isalpha() and text.lower() not in _WORDS else f'"{text}"'
 
 
 @dataclass(frozen=True)
@@ -130,7 +148,7 @@ def with_row(text: str, file: str, place: str, row: str, action: str = "") -> st
         end = last.raw.end_mark
         if table.is_in_braces or last.raw.start_mark.line != end.line:
             raise InputError(f"expected a line for each row of the table of poses, to write one for {place}", where)
-        written = f"{place}: {row}"
+        written = f"{_scalar(place)}: {row}"
         if place in rows:
             line = lines[end.line]
             lines[end.line] = line[: where.column - 1] + written + line[end.column :]

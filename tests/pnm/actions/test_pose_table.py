@@ -5,8 +5,10 @@ from __future__ import annotations
 import math
 import struct
 from pathlib import Path
+from typing import Any
 
 import pytest
+import yaml
 from hypothesis import given, strategies as st
 
 from pnm.actions.bindings_file import read_bindings
@@ -105,3 +107,17 @@ def test_a_pixel_needs_a_map(tmp_path: Path) -> None:
     error = input_error(lambda: read_poses(written(tmp_path / "p.yaml", "a: {pixel: [1, 2]}"), None))
     assert error is not None
     assert "expected --map" in error.message
+
+
+@pytest.mark.parametrize("wrong", [{"x": math.nan}, {"y": math.inf}, {"frame": "map}}}\n dock: {"}, {"frame": "\x1b[31m"}, {"frame": ""}])
+def test_what_is_no_pose_is_not_written(wrong: dict[str, Any]) -> None:
+    with pytest.raises(InputError, match="expected a pose"):
+        Pose(**{"x": 0.0, "y": 0.0, **wrong})
+
+
+def test_a_name_that_is_a_word_of_yaml_stays_a_name() -> None:
+    assert yaml.safe_load(Pose(0.0, 0.0, frame="yes").row)["header"] == {"frame_id": "yes"}
+    assert yaml.safe_load(Pose(0.0, 0.0, frame="0001").row)["header"] == {"frame_id": "0001"}
+    text = "actions:\n  go:\n    goal:\n      pose:\n        of: to\n        table:\n          a: " + Pose(0.0, 0.0).row + "\n"
+    written = yaml.safe_load(with_row(text, "b.yaml", "No", Pose(1.0, 0.0).row))
+    assert [*written["actions"]["go"]["goal"]["pose"]["table"]] == ["a", "No"]
