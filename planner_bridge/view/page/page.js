@@ -177,7 +177,7 @@ function drawn() {
   if (has("tasks")) showStarts(model, !open.length && !ui.day, isNow);
   if (ui.day && has("tasks", "time")) askDay(live, () => draw("all"));
   for (const id of ["task", ...(ui.day ? ["timeline", "plan", "policy"] : [])]) $(id).hidden = Boolean(ui.day);
-  showDay(model, ui, Math.max(240, ($("mid").clientWidth || innerWidth) - 32), choose);
+  showDay(model, ui, ui.day ? Math.max(240, ($("mid").clientWidth || innerWidth) - 32) : 0, choose);
   if (has("way", "events", "time")) showWay(model);
   showControls(isNow, open.some(isHeld));
   const asks = questionsOf(live).length;
@@ -269,11 +269,17 @@ function showWay(model) {
   else said("ok", "live");
 }
 
+let marksWidth = 0;
+new ResizeObserver(([{ contentRect }]) => {
+  marksWidth = Math.round(contentRect.width);
+  draw(["way"]);
+}).observe($("marks"));
+
 const URGENT = ["failure", "replan", "end"];
 
 function showMarks(end) {
   const place = $("marks");
-  const width = place.clientWidth || 600;
+  const width = marksWidth || 600;
   const x = (time) => Math.round((width * (time - live.began)) / Math.max(1e-9, end - live.began));
   const marks = [];
   for (const [number, event] of [...live.events].filter(([, one]) => one.mark).sort(([, a], [, b]) => a.time - b.time)) {

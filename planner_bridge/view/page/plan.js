@@ -10,18 +10,24 @@ let asked = ""; // the run whose layout is fetched
 let boxes = new Map(); // the cards that are there, by step
 let shown = ""; // what the cards were drawn for
 let range = [0, 0, 0, 0]; // the part that is drawn: from which column to which, and from which height to which
+let view = { left: 0, top: 0, width: 0, height: 0 }; // the part that is seen; to ask while a frame is drawn has the browser lay out the page
 
 const place = $("picture");
 const columnOf = (pixels) => Math.floor((pixels - EDGE) / (CARD[0] + GAP));
 
 export function watchPlan(redraw) {
+  const seen = () => (view = { left: place.scrollLeft, top: place.scrollTop, width: place.clientWidth, height: place.clientHeight });
   place.addEventListener("scroll", () => {
+    seen();
     if (isOutside()) redraw();
   });
-  new ResizeObserver(redraw).observe(place);
+  new ResizeObserver(() => {
+    seen();
+    redraw();
+  }).observe(place);
 }
 
-const sight = () => [columnOf(place.scrollLeft), columnOf(place.scrollLeft + place.clientWidth), place.scrollTop, place.scrollTop + place.clientHeight];
+const sight = () => [columnOf(view.left), columnOf(view.left + view.width), view.top, view.top + view.height];
 
 function isOutside() {
   const [first, last, top, bottom] = sight();
@@ -101,14 +107,13 @@ export function showPlan(model, run, number, calls, chosen, choose, redraw) {
 // Follows what runs, unless somebody looks elsewhere.
 function keepInSight(states) {
   const now = [...states.values()].filter((call) => call.state === "running" || call.state === "failed").map((call) => call.index).sort().join(" ");
-  if (told.follows === now || place.matches(":hover, :focus-within")) return;
+  if (told.follows === now || !view.width || place.matches(":hover, :focus-within")) return;
   told.follows = now;
   const xs = now ? now.split(" ").map((step) => told.cells.get(Number(step))?.x ?? 0) : [];
   if (!xs.length) return;
   const [left, right] = [Math.min(...xs), Math.max(...xs) + CARD[0]];
-  if (left >= place.scrollLeft && right <= place.scrollLeft + place.clientWidth) return;
-  if (!place.firstElementChild || place.firstElementChild.clientWidth < told.width) draw("", () => {}, new Set()); // so that there is room to scroll
-  place.scrollLeft = Math.max(0, left - CARD[0] - GAP);
+  if (left >= view.left && right <= view.left + view.width) return;
+  requestAnimationFrame(() => (place.scrollLeft = left - CARD[0] - GAP)); // in the next frame, when there is room, and all is laid out
 }
 
 function draw(run, choose, added) {

@@ -168,13 +168,15 @@ export function signButton(name, label, title, act) {
 
 const ruler = document.createElement("canvas").getContext("2d");
 const widths = new Map();
+let family = ""; // asked for once: to ask while a frame is drawn has the browser work out the styles of the whole page
 
 // The width of a text of the smallest size in a picture.
 export function widthOf(text, isBold = false) {
   const key = `${isBold ? "b" : ""}${text}`;
   if (!widths.has(key)) {
     if (widths.size > 5000) widths.clear();
-    ruler.font = `${isBold ? 600 : 400} 12px ${getComputedStyle(document.body).fontFamily}`;
+    family ||= getComputedStyle(document.body).fontFamily;
+    ruler.font = `${isBold ? 600 : 400} 12px ${family}`;
     widths.set(key, ruler.measureText(text).width);
   }
   return widths.get(key);
