@@ -13,6 +13,7 @@ from pnm.core.machine.requests import OutcomeKind
 from pnm.errors import InputError, printable
 from pnm.files.database.place import Place
 from pnm.journal import records
+from pnm.journal.replay import words
 from pnm.journal.resume import steps_after
 from pnm.journal.store import KeptJournal
 
@@ -75,17 +76,17 @@ def messages(kept: KeptJournal) -> Iterator[Message]:
     """Yield what each record of a journal says, in the order of its records."""
     story, states, requests = Spans.of(kept, 0), dict[str, tuple[str, str]](), dict[str, tuple[str, str]]()
     for step in steps_after(kept, TASKS, story.apply, 0):
-        time, told = story.wall(story.time) or 0.0, story.events[step.number]
+        time, marked = story.wall(story.time) or 0.0, story.events.get(step.number)
         stamp = {"sec": int(time), "nanosec": int(time % 1.0 * 1e9)}
         of = step.record.run if isinstance(step.record, records.Happened | records.RunMade) else None
         name = story.runs[of].made.name if of in story.runs else "pnm"
-        text = _text("; ".join(map(str.strip, told["lines"])))
+        text = _text("; ".join(map(str.strip, words(step, story.replay))))
         yield Message(
             "log",
             time,
             {
                 "stamp": stamp,
-                "level": _LEVELS[told["mark"]],
+                "level": _LEVELS[marked["mark"] if marked else ""],
                 "name": _text(name),
                 "msg": text,
                 "file": str(kept.place),
