@@ -74,6 +74,7 @@ def test_calls_light_up_as_the_journal_grows(page: Page, delivery: Path, growing
         shows(page, 5)
         expect(page.locator("#task-list button")).to_have_count(1)
         expect(page.locator("#plan")).to_be_hidden()
+        expect(page.locator("#policy")).to_be_hidden()
         happened = [step.number for step in steps(delivery) if isinstance(step.record, Happened) and (step.commands or step.fired)]
         for record in [*happened[::3], growing.longest]:
             growing.grow(record)
