@@ -42,7 +42,8 @@ REFUSED = re.compile("409 \\(Conflict\\)|403 \\(Forbidden\\)")
 
 @pytest.fixture(scope="module")
 def node(deploy_for_module: Callable[..., ProblemDeployment]) -> Node:
-    return serve(deploy_for_module("delivery/p01", speed="4", quick=True))
+    """A node whose robots take their time: a task is paused long before it is over, also on a busy machine."""
+    return serve(deploy_for_module("delivery/p01", speed="1", quick=True))
 
 
 @pytest.fixture(scope="module")
@@ -209,7 +210,7 @@ def test_a_task_is_paused_makes_a_step_goes_on_and_is_cancelled(page: Page, node
     expect(task.locator(".state")).to_have_text("running")
     task.get_by_role("button", name="Cancel").click()
     expect(task.locator(".state")).to_have_text("cancelled")
-    expect(task.get_by_role("button")).to_have_count(0)
+    expect(task.get_by_role("group")).to_have_count(0)
 
 
 def test_without_the_token_nothing_is_controlled(chromium: Browser, node: Node) -> None:
