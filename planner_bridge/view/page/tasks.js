@@ -108,7 +108,7 @@ export function showNeeds(model, isNow) {
     const label = question.choices.includes("yes") ? "Can it be reached?" : undefined; // else help is asked for because there is no plan
     const why = isNow && question.choices.length && task ? whyNoPlan(id, task.title, label) : "";
     return el("div", { class: "need asks", "data-question": id }, icon("ask"),
-      el("div", {}, el("p", {}, question.text), el("small", { class: "dim" }, `${subject} · asks since ${tod(model, question.since)}${form ? "" : "; answer with: pnm answer TEXT"}`)), form, why);
+      el("div", {}, el("p", {}, question.text), el("small", { class: "dim" }, `${subject} · asks since ${tod(model, question.since)}${task?.deadline != null ? `, gives up at ${clock(task.deadline)}` : ""}${form ? "" : "; answer with: pnm answer TEXT"}`)), form, why);
   });
   placed($("needs"), questions);
 }
