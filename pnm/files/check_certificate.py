@@ -23,11 +23,10 @@ from itertools import combinations
 from pathlib import Path
 from typing import Any
 
-FORMAT = 1
+FORMAT, MOST = 1, 20_000  # MOST: states of one step
 KINDS = {"succeeded", "aborted", "aborted_for_good", "canceled", "rejected", "timed_out", "unavailable", "lost"}  # ends of a request
 MOODS = {"Ending", "Failing", "CancelAsked", "PauseAsked", "Withheld", "Adopted"}  # guards that the run opens, or another one
 RECORDS = {"budget", "failure mark", "resource", "restart"}
-MOST = 20_000  # states of one step
 
 
 class NotProved(Exception):
@@ -89,7 +88,8 @@ class Net:
             require(region["first"] and region["last"], "a region has no place")
             require(region["steps"] or (region["first"] == region["last"] and len(region["first"]) == 1), "an empty region has two places")
             for step in region["steps"]:
-                require(step in steps and step not in self.region_of, f"step {step} is in two regions, or unknown")
+                is_new = step in steps and step not in self.region_of and step != region["owner"]
+                require(is_new, f"step {step} is unknown, in two regions or inside of itself")
                 self.region_of[step] = number
             for side, kind in (("first", "starts"), ("last", "ends")):
                 for place in region[side] if region["steps"] else ():
@@ -160,23 +160,22 @@ class Net:
         at = {place: number for number, place in enumerate(places)}
         asked = [number for place, number in at.items() if self.role[place] not in RECORDS]
         marks = {number for place, number in at.items() if self.role[place] in ("failure mark", "restart") and owner is not None}
-        takes = {name: [(at[one], weight) for one, weight in self.takes[name].items()] for name in names}
-        gives = {name: [(at[one], weight) for one, weight in self.gives[name].items()] for name in names}
+        takes, gives = ({name: [(at[one], n) for one, n in side[name].items()] for name in names} for side in (self.takes, self.gives))
         exits = {number: [name for name in names if number in dict(takes[name])] for number in asked}
         resources = {at[place]: self.tokens[place] for place in places if self.role[place] == "resource"}
         starts, waits, early, ends = ([at[one] for one in ports[key]] for key in ("starts", "waits", "announces", "ends"))
         finals = [at[self.data[key]] for key in ("goal_place", "failed_place") if owner is None]
-        restarts = [number for place, number in at.items() if owner is None and self.role[place] == "restart"]
+        restarts = [at[place] for place in places if owner is None and self.role[place] == "restart"]
         starts += [number for place, number in at.items() if owner is None and self.tokens[place] and number in asked]
         require(len(restarts) < 8, "more places ask for a restart than this checker looks at")
         guards = {self.transitions[name]["guard"]["kind"] for name in names}
-        counters = {number for place, number in at.items() if self.role[place] == "budget"}
-        most = sum(self.tokens[place] for place, number in at.items() if number in counters)
+        counters = {at[place] for place in places if self.role[place] == "budget"}
+        most = sum(self.tokens[places[number]] for number in counters)
         counted = tuple([self.tokens[place] if number in counters else 0 for number, place in enumerate(places)])
 
         def entered(kept: tuple[int, ...]) -> Any:
-            tokens = tuple([resources.get(number, 1 if number in starts else one) for number, one in enumerate(kept)])
-            return tokens, not waits, 2 if "Adopted" in guards else 0, frozenset[int](), False
+            tokens = [resources.get(number, 1 if number in starts else one) for number, one in enumerate(kept)]
+            return tuple(tokens), not waits, 2 if "Adopted" in guards else 0, frozenset[int](), False
 
         def moved(state: Any, taken: Any, given: Any, **changed: Any) -> Any:
             tokens, supplied, life, inside, over = state
@@ -199,8 +198,7 @@ class Net:
             tokens, supplied, life, inside, over = state
             full = [place for place, number in at.items() if tokens[number] > resources.get(number, most if number in counters else 1)]
             require(not full, f"{full[:1]} may hold more tokens than it should")
-            onward = edges.setdefault(state, set())
-            possible, lacking = dict[str, None](), False
+            onward, possible, lacking = edges.setdefault(state, set()), dict[str, None](), False
             outside = [moved(state, (), [(one, 1) for one in waits], supplied=True)] if not supplied else []
             busy = [number for number in asked if tokens[number] and number not in (*early, *ends, *finals)]
             for number, (first, last) in enumerate(firsts):
@@ -226,9 +224,10 @@ class Net:
                     wrong = unanswered(here) if here else ""
                     require(not wrong or (wrong == "waits" and outside), f"{places[number]!r} {wrong}: no exit is sure to open")
             waiting = lacking or not possible or len(outside) > (not supplied)
-            keeps = any(tokens[number] < full for number, full in resources.items())
-            require(not (keeps and waiting), f"step {owner} waits and keeps resources")
-            require(not lacking or "Withheld" in {self.transitions[name]["guard"]["kind"] for name in possible}, "resources never come")
+            require(not waiting or all(tokens[one] >= full for one, full in resources.items()), f"step {owner} waits and keeps resources")
+            kinds = {self.transitions[name]["guard"]["kind"] for name in possible}
+            require(not lacking or "Withheld" in kinds, "resources never come")
+            require(life != 1 or "Ends" in kinds, f"step {owner} takes no report although its request is alive")
             goes_on = (busy or life == 1) and any(tokens[number] for number in (*ends, *finals))
             require(not goes_on, f"step {owner} is left while it goes on")
             if not possible and not outside:
@@ -238,8 +237,8 @@ class Net:
                 require(life != 1, f"step {owner} ends while a request is alive")
                 if repeated and not over:  # again, with counters as they are
                     roots.append(entered(tuple([one if number in counters else 0 for number, one in enumerate(tokens)])))
-            is_late = not possible and not supplied and not outside[1:] and not all(tokens[number] for number in early)
-            require(not is_late, f"step {owner} announces its start too late")
+            is_early = possible or supplied or outside[1:] or all(tokens[number] for number in early)
+            require(is_early, f"step {owner} announces its start too late")
             for name in possible:
                 about = self.transitions[name]
                 action, ends_it = about["action"], about["gives_up"] or about["guard"]["kind"] == "Ends"
@@ -251,7 +250,7 @@ class Net:
                 roots.append(after)
                 onward |= {after} if about["guard"]["kind"] != "PauseAsked" else set()
             roots += outside
-            onward.update(outside)
+            onward |= {*outside}
         TopologicalSorter(edges).prepare()
         return len(seen), again
 
@@ -280,12 +279,13 @@ def check(text: str) -> str:
         net = Net(data)
         for part in (net.check_structure, net.check_order, net.check_rules):
             part()
-        states, waiting = 0, [(None, "restart" in net.role.values())]
+        states, waiting = 0, [(None, "restart" in net.role.values())]  # each step is in one region, so it comes once
         for owner, repeated in waiting:
             count, again = net.explore(owner, repeated=repeated and owner is not None)
             states += count
             for number, region in enumerate(net.held[owner]):
                 waiting += [(step, repeated or number in again) for step in region["steps"]]
+        require({owner for owner, _ in waiting} == {None, *net.region_of}, "there are steps that nothing ever enters")
     except CycleError as error:
         raise NotProved(f"it may go round for ever, or steps wait for each other: {str(error.args[1][0])[:80]}") from None
     except (KeyError, TypeError, AttributeError, IndexError, ValueError, RecursionError) as error:

@@ -10,6 +10,7 @@ from pathlib import Path
 from random import Random
 from typing import Any
 
+import pytest
 from hypothesis import given, settings
 from hypothesis.strategies import integers
 
@@ -117,6 +118,66 @@ def test_a_broken_net_is_noticed_although_its_hash_is_right() -> None:
         data = {"format": 1, **certified(random_machine(random.randrange(40)))}
         done = broken(data, random)
         assert not holds(with_hash(data)), f"seed {seed}: {done}"
+
+
+def entered_by_nobody() -> dict[str, Any]:
+    """A certificate whose frame goes straight to its end, and two steps that hold each other."""
+    machines = map(random_machine, range(100))
+    machine = next(one for one in machines if len(one.plan.every_step) == 1 and "resource" not in map(one.role, one.net.places))
+    data: dict[str, Any] = {"format": 1, **certified(machine)}
+    (region,) = data["regions"]
+    (first,), (last,) = region["first"], region["last"]
+    frame = {one["name"] for one in data["transitions"] if one["call"] is None}
+    inner = [one for one in data["arcs"] if not {one["source"], one["target"]} & frame]
+    others = {end: f"another {end}" for arc in inner for end in (arc["source"], arc["target"])}
+    for kind in ("places", "transitions"):
+        data[kind] += [{**one, "name": others[one["name"]]} for one in data[kind] if one["name"] in others]
+    for one in data["transitions"]:
+        one["call"] = 1 if one["name"] in others.values() else one["call"]
+    outer = [one for one in data["arcs"] if one not in inner]
+    data["arcs"] = [*inner, *({**one, "source": others[one["source"]], "target": others[one["target"]]} for one in inner)]
+    data["arcs"] += [{**one, **{end: "past" for end in ("source", "target") if one[end] in (first, last)}} for one in outer]
+    data["places"].append({"name": "past", "role": "", "tokens": 0})
+    for holder, (begins, ends) in enumerate([(others[first], others[last]), (first, last)]):
+        loop = {"name": f"loop {holder}", "event": "loop", "call": holder, "guard": {"kind": "Always"}, "action": None, "gives_up": False}
+        data["transitions"].append(loop)
+        data["arcs"] += [{"source": ends, "target": loop["name"], "weight": 1}, {"source": loop["name"], "target": begins, "weight": 1}]
+    data["steps"].append({"number": 1, "name": "another"})
+    data["regions"] = [
+        {"owner": None, "steps": [], "first": ["past"], "last": ["past"]},
+        {"owner": 1, "steps": [0], "first": [first], "last": [last]},
+        {"owner": 0, "steps": [1], "first": [others[first]], "last": [others[last]]},
+    ]
+    return data
+
+
+def test_steps_that_nothing_enters_are_noticed() -> None:
+    data = entered_by_nobody()
+    with pytest.raises(NotProved, match="nothing ever enters"):
+        check(with_hash(data))
+
+
+def test_a_region_that_holds_its_own_owner_is_noticed() -> None:
+    data: dict[str, Any] = {"format": 1, **certified(random_machine(7))}
+    data["regions"][0]["owner"] = data["regions"][0]["steps"][0]
+    with pytest.raises(NotProved, match="inside of itself"):
+        check(with_hash(data))
+
+
+def without(data: dict[str, Any], names: set[str]) -> dict[str, Any]:
+    """A certificate without some transitions."""
+    arcs = [one for one in data["arcs"] if not {one["source"], one["target"]} & names]
+    return {**data, "transitions": [one for one in data["transitions"] if one["name"] not in names], "arcs": arcs}
+
+
+@pytest.mark.parametrize("state", ["requested", "running", "overdue"])
+def test_a_request_whose_reports_nothing_takes_is_noticed(state: str) -> None:
+    data: dict[str, Any] = {"format": 1, **certified(random_machine(7))}
+    exits = {one["target"] for one in data["arcs"] if one["source"] == f"a1()#1 {state}"}
+    ends = {one["name"] for one in data["transitions"] if one["name"] in exits and one["guard"]["kind"] == "Ends"}
+    assert ends
+    with pytest.raises(NotProved, match="takes no report"):
+        check(with_hash(without(data, ends)))
 
 
 def of_mutant(machine: PetriNetMachine) -> str:
