@@ -3,13 +3,12 @@
 `python3 check_certificate.py FILE` ends with 0 if it is proved, else with 1 and why. Whatever the world answers, and whenever it stops it:
 - the machine comes to an end, if it is paused finitely often, and never gets stuck before;
 - it ends with one token, on the goal place or on the failed place, all others empty but counters, failure marks and free resources;
-- no other place ever holds two tokens;
-- no request is alive at the end, and none is sent while another of its call is, or before it is asked whether the run is ending;
-- the goal place is marked only by a rule that asks for the goal, after it was asked whether a step has failed;
-- every ordering of the plan is kept by places of the net.
-Each step is explored by itself, its inputs coming from outside; that they come follows from the order of the steps. A guard may open at
-any moment, but reports come for live requests only. *Not* checked is that conditions, limits and retries are those that the plan's actions
-ask for, which `pnm net` has proved. The hash finds changes, and is no signature: who makes another certificate can make another hash.
+- no other place ever holds two tokens, and places keep every ordering of the plan;
+- at the end each request has ended or was given up, after it was to be cancelled and with a failure mark if nobody asked for a stop;
+- none is sent while another of its call is alive and not given up, or before it is asked whether the run is ending;
+- the goal place is marked only by a rule that asks for the goal, after one that opens once a failure is marked.
+Each step is explored by itself; that its inputs come follows from the order of the steps. Guards open at any moment, but reports come for
+live requests only. *Not* checked is whether conditions, limits, retries and `protects` are those of the plan, and other failures marked.
 """
 
 from __future__ import annotations
@@ -24,7 +23,11 @@ from pathlib import Path
 from typing import Any
 
 FORMAT, MOST = 1, 20_000  # MOST: states of one step
+PROVED = (__doc__ or "").partition(":\n- ")[2].partition(".\n")[0].split(";\n- ")
 KINDS = {"succeeded", "aborted", "aborted_for_good", "canceled", "rejected", "timed_out", "unavailable", "lost"}  # ends of a request
+ALIVE = ("alive", "canceled", "stopped")  # states of a request; the others are "none" and "offered", by another run; ACTIONS change it
+ACTIONS: dict[str | None, tuple[str, ...]] = {"SEND": ("none", "alive"), "ADOPT": ("offered", "alive"), "CANCEL": ("alive", "canceled")}
+ACTIONS |= dict.fromkeys((None, "BEGIN", "FINISH", "UNDO"), ())
 MOODS = {"Ending", "Failing", "CancelAsked", "PauseAsked", "Withheld", "Adopted"}  # guards that the run opens, or another one
 RECORDS = {"budget", "failure mark", "resource", "restart"}
 
@@ -71,11 +74,10 @@ class Net:
 
     def check_structure(self) -> None:
         """Check that steps touch each other only along orderings, and where one holds others; and collect those places."""
-        data, steps = self.data, {one["number"] for one in self.data["steps"]}
-        self.region_of: dict[int, int] = {}
+        data, steps = self.data, {one["number"]: one["name"] for one in self.data["steps"]}
         self.ports: dict[int | None, dict[str, list[str]]] = defaultdict(lambda: defaultdict(list))
         self.held: dict[int | None, list[dict[str, Any]]] = defaultdict(list)
-        border: dict[str, tuple[int | None, int | None]] = {}
+        self.region_of, border = dict[int, int](), dict[str, tuple[int | None, int | None]]()
         for ordering in data["orderings"]:
             if (place := ordering["place"]) is not None:
                 require(place in self.role and place not in border, f"an ordering has the place {place!r}")
@@ -88,8 +90,7 @@ class Net:
             require(region["first"] and region["last"], "a region has no place")
             require(region["steps"] or (region["first"] == region["last"] and len(region["first"]) == 1), "an empty region has two places")
             for step in region["steps"]:
-                is_new = step in steps and step not in self.region_of and step != region["owner"]
-                require(is_new, f"step {step} is unknown, in two regions or inside of itself")
+                require(step in steps.keys() - self.region_of.keys() - {region["owner"]}, f"step {step} is in two regions or itself")
                 self.region_of[step] = number
             for side, kind in (("first", "starts"), ("last", "ends")):
                 for place in region[side] if region["steps"] else ():
@@ -97,10 +98,11 @@ class Net:
                     require(place not in border and step in region["steps"], f"{place!r} does not connect two steps")
                     border[place] = (region["owner"], step) if side == "first" else (step, region["owner"])
                     self.ports[step][kind].append(place)
-        require(self.region_of.keys() == steps == self.own.keys() - {None}, "the steps are not those of the regions, or of the net")
+        require(self.region_of.keys() == steps.keys() == self.own.keys() - {None}, "the steps are not those of the regions, or of the net")
+        sent = {steps[one["call"]] for one in data["transitions"] if one["action"] == "SEND"}
+        require({one["name"] for one in data["calls"]} == sent, "the calls are not the steps that send requests")
         for place, (before, after) in border.items():
-            are_two = self.takers[place] == {after} and before in self.givers[place] <= {before, after}
-            require(are_two, f"{place!r} is between two steps, and not touched by both alone")
+            require(self.takers[place] == {after} and before in self.givers[place] <= {before, after}, f"{place!r} is of other steps")
             back = (name for name in self.own[after] if place in self.gives[name] and before != after)
             require(all(place in self.takes[name] for name in back), f"{place!r} is marked by who waits for it")
             require(not self.role[place] or self.role[place] == "ordering", f"{place!r} has another role")
@@ -116,8 +118,7 @@ class Net:
 
     def check_order(self) -> None:
         """Check that the steps of each region wait for each other without a cycle, and as the plan says."""
-        events: dict[Any, set[Any]] = {(step, "end"): {(step, "start")} for step in self.region_of}
-        events |= {(step, "start"): set() for step in self.region_of}
+        events = {(step, of): {(step, "start")} if of == "end" else set[Any]() for step in self.region_of for of in ("start", "end")}
         orderings = [(tuple(one["before"]), tuple(one["after"]), one["place"]) for one in self.data["orderings"]]
         for before, after, place in orderings:
             require(before in events and after in events, f"an ordering of an unknown step: {before} < {after}")
@@ -133,7 +134,7 @@ class Net:
 
     def check_rules(self) -> None:
         """Check what rules have to be asked before others."""
-        goal, failed = self.data["goal_place"], self.data["failed_place"]
+        goal, failed, asked = self.data["goal_place"], self.data["failed_place"], {"kind": "ConditionTrue", "condition": self.data["goal"]}
         require((self.role.get(goal), self.role.get(failed)) == ("goal", "failure"), "there is no goal place, or no failed place")
         require(not self.takers[goal] | self.takers[failed], "the goal place or the failed place is taken from")
         for owner, names in self.own.items():
@@ -141,12 +142,13 @@ class Net:
                 place = {one for one in self.takes[name] if self.role[one] not in RECORDS}
                 before = [self.transitions[other] for other in names[:number] if {*self.takes[other]} <= place]
                 guard, kinds = self.transitions[name]["guard"], {one["guard"]["kind"] for one in before}
-                is_one = len(place) == 1 or (place and guard["kind"] in ("Always", "Due", *MOODS))
-                require(is_one, f"{name!r} asks at several places, or at none")
+                require(len(place) == 1 or (place and guard["kind"] in ("Always", "Due", *MOODS)), f"{name!r} asks at no or many places")
                 if goal in self.gives[name]:
-                    is_asked = guard["kind"] == "ConditionTrue" and guard["condition"] == self.data["goal"]
-                    require(owner is None and is_asked and "Failing" in kinds, f"{name!r} marks the goal without asking for it")
-                require(self.transitions[name]["action"] != "SEND" or "Ending" in kinds, f"{name!r} sends while the run is ending")
+                    require(owner is None and guard == asked and "Failing" in kinds, f"{name!r} marks the goal without asking for it")
+                require(
+                    ACTIONS[self.transitions[name]["action"]] != ACTIONS["SEND"] or "Ending" in kinds,
+                    f"{name!r} sends while the run is ending",
+                )
 
     def explore(self, owner: int | None, *, repeated: bool) -> tuple[int, set[int]]:
         """Walk through every state of a step; return their number, and which regions that it holds may be entered again."""
@@ -175,7 +177,7 @@ class Net:
 
         def entered(kept: tuple[int, ...]) -> Any:
             tokens = [resources.get(number, 1 if number in starts else one) for number, one in enumerate(kept)]
-            return tuple(tokens), not waits, 2 if "Adopted" in guards else 0, frozenset[int](), False
+            return tuple(tokens), not waits, "offered" if "Adopted" in guards else "none", frozenset[int](), False
 
         def moved(state: Any, taken: Any, given: Any, **changed: Any) -> Any:
             tokens, supplied, life, inside, over = state
@@ -184,8 +186,7 @@ class Net:
                 after[number] -= weight
             for number, weight in given:
                 after[number] = 1 if number in marks else after[number] + weight
-            rest = {"supplied": supplied, "life": life, "inside": inside, "over": over} | changed
-            return tuple(after), *rest.values()
+            return tuple(after), *({"supplied": supplied, "life": life, "inside": inside, "over": over} | changed).values()
 
         # After a failure or a stop nothing is entered again; nor after the run is ending, unless that is so for the plan to begin anew.
         for_good = {"Failing"} if "restart" in self.role.values() else {"Failing", "Ending"}
@@ -215,7 +216,7 @@ class Net:
                     if lacks and lacks <= resources.keys():
                         lacking = True
                         break
-                    if not lacks and life == {"Ends": 1, "Accepts": 1, "Adopted": 2}.get(guard["kind"], life):
+                    if not lacks and life in {"Ends": ALIVE, "Accepts": ALIVE, "Adopted": ("offered",)}.get(guard["kind"], (life,)):
                         possible[name] = None
                         here.append(guard)
                         if guard["kind"] in ("Always", "Adopted"):
@@ -227,28 +228,27 @@ class Net:
             require(not waiting or all(tokens[one] >= full for one, full in resources.items()), f"step {owner} waits and keeps resources")
             kinds = {self.transitions[name]["guard"]["kind"] for name in possible}
             require(not lacking or "Withheld" in kinds, "resources never come")
-            require(life != 1 or "Ends" in kinds, f"step {owner} takes no report although its request is alive")
-            goes_on = (busy or life == 1) and any(tokens[number] for number in (*ends, *finals))
-            require(not goes_on, f"step {owner} is left while it goes on")
+            require(life not in ALIVE or "Ends" in kinds, f"step {owner} takes no report although its request is alive")
+            require(not (busy or life in ALIVE) or not any(tokens[one] for one in (*ends, *finals)), f"step {owner} goes on and is left")
             if not possible and not outside:
                 left = {number: count for number, count in enumerate(tokens) if number in asked and count}
                 wanted = (*early, *ends, *[one for one in finals if tokens[one]][:1])
                 require(left == dict.fromkeys(wanted, 1) and left, f"step {owner} stops with {[places[one] for one in left]}")
-                require(life != 1, f"step {owner} ends while a request is alive")
+                require(life not in ALIVE, f"step {owner} ends while a request is alive")
                 if repeated and not over:  # again, with counters as they are
                     roots.append(entered(tuple([one if number in counters else 0 for number, one in enumerate(tokens)])))
-            is_early = possible or supplied or outside[1:] or all(tokens[number] for number in early)
-            require(is_early, f"step {owner} announces its start too late")
+            require(possible or supplied or outside[1:] or all(tokens[one] for one in early), f"step {owner} announces its start too late")
             for name in possible:
-                about = self.transitions[name]
-                action, ends_it = about["action"], about["gives_up"] or about["guard"]["kind"] == "Ends"
-                wanted_life = {"SEND": 0, "ADOPT": 2}.get(action, 1 if ends_it else life)
-                require(life == wanted_life, f"{name!r} sends or ends a request, and another is alive, or none")
-                then = 1 if action in ("SEND", "ADOPT") else 0 if ends_it else life
-                fails = about["guard"]["kind"] in for_good or any(self.role[one] == "failure mark" for one in self.gives[name])
-                after = moved(state, takes[name], gives[name], life=then, over=repeated and (over or fails))
+                about, marks_it = self.transitions[name], any(self.role[one] == "failure mark" for one in self.gives[name])
+                kind, given_up, (before, then) = about["guard"]["kind"], about["gives_up"], ACTIONS[about["action"]] or (life, life)
+                require(life == before and (life in ALIVE or not (given_up or kind == "Ends")), f"{name!r}: its request is {life}")
+                may_give_up = kind == "After" and (life == "stopped" or (life == "canceled" and marks_it))
+                require(may_give_up or not given_up, f"{name!r} gives up a request that is {life}, or marks no failure")
+                then = "stopped" if then == "canceled" and (marks_it or kind == "CancelAsked") else then
+                then = "none" if given_up or kind == "Ends" else then
+                after = moved(state, takes[name], gives[name], life=then, over=repeated and (over or marks_it or kind in for_good))
                 roots.append(after)
-                onward |= {after} if about["guard"]["kind"] != "PauseAsked" else set()
+                onward |= {after} if kind != "PauseAsked" else set()
             roots += outside
             onward |= {*outside}
         TopologicalSorter(edges).prepare()
@@ -273,9 +273,8 @@ def check(text: str) -> str:
     """Prove a certificate again and return what was proved; raise `NotProved`."""
     try:
         data = json.loads(text)
-        require(isinstance(data, dict) and data["format"] == FORMAT, f"not a certificate of format {FORMAT}")
-        is_same = hash_of(data) == data["hash"] and json.dumps(data, indent=1) + "\n" == text
-        require(is_same, "the file was changed: its hash is not that of its contents")
+        require(isinstance(data, dict) and (data["format"], data["property"]) == (FORMAT, PROVED), "its format or property is another")
+        require(hash_of(data) == data["hash"] and json.dumps(data, indent=1) + "\n" == text, "the file was changed: its hash is another")
         net = Net(data)
         for part in (net.check_structure, net.check_order, net.check_rules):
             part()
@@ -294,7 +293,8 @@ def check(text: str) -> str:
 
 
 if __name__ == "__main__":
+    path = sys.argv[1] if len(sys.argv) == 2 else sys.exit("usage: python3 check_certificate.py FILE")
     try:
-        sys.stdout.write(check(Path(sys.argv[1]).read_bytes().decode()) + "\n")
-    except (NotProved, OSError, UnicodeDecodeError, IndexError) as error:
+        sys.stdout.write(check(Path(path).read_bytes().decode()) + "\n")
+    except (NotProved, OSError, UnicodeDecodeError) as error:
         sys.exit(f"not proved: {error}")
