@@ -82,7 +82,7 @@ def read_pnml(text: str, file: str = "text") -> PnmlNet:
     """Return the place/transition net of a text.
 
     Nodes go by their names, or by their ids if two have the same name. Raises an `InputError`, with line and column, if the text is no
-    such net: of another type, with more nets than one, or with references between pages.
+    such net: of another type, with more nets than one, with references between pages, or with arcs that do not move tokens.
     """
     root = read_xml(text, file)
     if (root.tag, root.namespace) != ("pnml", GRAMMAR):
@@ -92,19 +92,28 @@ def read_pnml(text: str, file: str = "text") -> PnmlNet:
         raise InputError(f"expected one net, found {len(nets)}", nets[1].position if nets else root.position)
     if (kind := nets[0].of("type")) != NET_TYPE:
         raise InputError(f"a net of type {kind!r}; expected {NET_TYPE!r}", nets[0].position)
-    nodes, arcs = dict[str, Element](), list[Element]()
+    nodes, arcs, ids = dict[str, Element](), list[Element](), set[str]()
     for element in _objects(nets[0]):
         match element.tag:
-            case "place" | "transition" if element.of("id") in nodes:
+            case "place" | "transition" | "arc" if element.of("id") in ids:
                 raise InputError(f"the id {element.of('id')!r} is used twice", element.position)
             case "place" | "transition":
                 nodes[element.of("id")] = element
             case "arc":
+                # as an attribute, or as an element with a value or a text: tools that have other arcs write it in each of these ways
+                types = [
+                    element.attributes.get("type"),
+                    *(one.attributes.get("value") for one in element.all("type")),
+                    _label(element, "type"),
+                ]
+                if other := next((one for one in types if one and one != "normal"), None):
+                    raise InputError(f"an arc of type {other!r}; expected 'normal'", element.position)
                 arcs.append(element)
             case "referencePlace" | "referenceTransition":
                 raise InputError(f"<{element.tag}> is not read; expected a net without references", element.position)
             case _:
-                pass  # labels, graphics and other tools' own elements
+                continue  # labels, graphics and other tools' own elements
+        ids.add(element.of("id"))
     names = {id: _label(node, "name") or id for id, node in nodes.items()}
     if len({*names.values()}) < len(names):
         names = {id: id for id in nodes}

@@ -23,6 +23,7 @@ from tests.support.runs.commands import RUN
 from tests.support.runs.mutation.machines import random_machine
 from tests.support.yaml.chaos import Chaos
 
+PAIR, ARC = '<place id="p"/><transition id="t"/>', '<arc id="a" source="p" target="t"'
 FRAME = f'<pnml xmlns="{GRAMMAR}"><net id="n" type="{NET_TYPE}"><page id="g">\n%s\n</page></net></pnml>'
 
 
@@ -43,6 +44,11 @@ def test_a_machine_is_read_back_as_it_was_written(number: int) -> None:
         ('<place id="p"/><place id="q"/><arc id="a" source="p" target="q"/>', "2:31: an arc between two places"),
         ('<place id="p"/><place id="p"/>', "2:16: the id 'p' is used twice"),
         ('<place id="p"><initialMarking><text>-1</text></initialMarking></place>', "2:1: <initialMarking> of 'p' is '-1'; expected"),
+        (f'{PAIR}\n<arc id="p" source="p" target="t"/>', "3:1: the id 'p' is used twice"),
+        (f"{PAIR}{ARC}/>\n{ARC}/>", "3:1: the id 'a' is used twice"),
+        (f"{PAIR}\n{ARC}><type value='inhibitor'/></arc>", "3:1: an arc of type 'inhibitor'; expected 'normal'"),
+        (f"{PAIR}\n{ARC}><type><text>reset</text></type></arc>", "3:1: an arc of type 'reset'; expected 'normal'"),
+        (f"{PAIR}\n{ARC} type='read'/>", "3:1: an arc of type 'read'; expected 'normal'"),
         ("<place/>", "2:1: <place> lacks its attribute 'id'"),
         ('<referencePlace id="r" ref="p"/>', "2:1: <referencePlace> is not read"),
         ('<place id="p">', "3:3: not XML: mismatched tag"),
@@ -53,6 +59,10 @@ def test_a_wrong_net_is_refused_where_it_is_wrong(inside: str, error: str) -> No
     with pytest.raises(InputError) as caught:
         read_pnml(FRAME % inside, "net.pnml")
     assert error in str(caught.value)
+
+
+def test_an_arc_may_say_that_it_is_normal() -> None:
+    assert len(read_pnml(FRAME % f"{PAIR}{ARC}><type value='normal'/></arc>").net.arcs) == 1
 
 
 @pytest.mark.parametrize(
