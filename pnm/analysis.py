@@ -17,6 +17,7 @@ from pnm.core.machine.plan_graph import ActionCall, PlanGraph, flows, necessary,
 from pnm.core.net.net import Marking, PetriNet
 from pnm.core.pictures.export import as_data
 from pnm.core.pictures.pnml import PnmlNet, read_pnml as pnml_in
+from pnm.errors import InputError
 from pnm.files.text import read_text
 
 try:
@@ -30,6 +31,8 @@ Array: TypeAlias = NDArray[np.int64]
 
 MAX_BYTES: Final = 100_000_000
 """Of a file with a net."""
+MAX_CELLS: Final = 10**8
+"""Of an array: it takes 800 MB."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,9 +86,11 @@ class NetArrays:
 
 
 def arrays(of: PetriNetMachine | PnmlNet | PetriNet) -> NetArrays:
-    """Return a net as arrays; one without a marking begins empty."""
+    """Return a net as arrays; one without a marking begins empty. Raise `InputError` if they would have more than `MAX_CELLS` each."""
     net, initial = (of, Marking()) if isinstance(of, PetriNet) else (of.net, of.initial)
     number, shape = net.place_numbers, (len(net.places), len(net.transitions))
+    if shape[0] * shape[1] > MAX_CELLS:
+        raise InputError(f"{shape[0]} places and {shape[1]} transitions; expected an array of {MAX_CELLS} cells at most")
     takes, gives = np.zeros(shape, dtype=np.int64), np.zeros(shape, dtype=np.int64)
     for column, name in enumerate(net.transitions):
         for matrix, weights in ((takes, net.inputs[name]), (gives, net.outputs[name])):

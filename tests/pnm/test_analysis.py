@@ -15,7 +15,7 @@ from planner_bridge.planning.policies.net import PolicyNet
 from planner_bridge.planning.policies.policy import policies
 from pnm.analysis import arrays, read_pnml, to_networkx
 from pnm.core.machine.plan_graph import flows, necessary
-from pnm.core.net.net import enabled, fire
+from pnm.core.net.net import NetBuilder, enabled, fire
 from pnm.core.pictures.export import as_data
 from pnm.core.pictures.pnml import to_pnml
 from pnm.errors import InputError
@@ -60,6 +60,14 @@ def test_a_policy_is_a_graph_from_its_first_step_to_its_goal() -> None:
     graph = to_networkx(whole)
     assert len(graph) == len(whole.net.places) + len(whole.net.transitions)
     assert all(nx.has_path(graph, place, "goal") for place, tokens in whole.initial.items() if tokens)
+
+
+def test_arrays_that_no_memory_holds_are_refused() -> None:
+    builder = NetBuilder()
+    for number in range(10_001):
+        builder.transition(f"t{number}", {builder.place(f"p{number}"): 1}, {})
+    with pytest.raises(InputError, match="10001 places and 10001 transitions; expected"):
+        arrays(builder.build())
 
 
 def test_files_in_pnml_are_read(tmp_path: Path) -> None:

@@ -1,6 +1,6 @@
 """XML: the frame of every picture, an SVG text with a white ground, so that it can be read on dark pages as well; and the reader of files.
 
-Files come from anywhere: a document type, and with it every entity, is refused, and so is what is nested too deeply.
+Files come from anywhere: a document type, and with it every entity, is refused, and so is what is nested too deeply, or too much.
 """
 
 from __future__ import annotations
@@ -9,6 +9,7 @@ import re
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from html import escape
+from itertools import count
 from typing import Final
 from xml.parsers import expat
 
@@ -51,6 +52,8 @@ def picture(kind: str, title: str, style: str, width: float, height: float, part
 
 _DEEPEST: Final = 100
 """Elements inside of each other, at most: readers call themselves for each level."""
+MOST_ELEMENTS: Final = 10**6
+"""Of a file: as `<b/>`, a hundred megabytes could have 25 million."""
 
 
 @dataclass(slots=True)
@@ -78,8 +81,8 @@ class Element:
 
 
 def read_xml(text: str, file: str) -> Element:
-    """Return the outermost element of a text; raise `InputError` if it is not well-formed, or has a document type."""
-    parser, path, root = expat.ParserCreate(namespace_separator=" "), list[Element](), list[Element]()
+    """Return the outermost element of a text; raise `InputError` if it is not well-formed, or too large, or has a document type."""
+    parser, path, root, numbers = expat.ParserCreate(namespace_separator=" "), list[Element](), list[Element](), count(1)
 
     def here() -> Position:
         return Position(file, parser.CurrentLineNumber, parser.CurrentColumnNumber + 1)
@@ -89,6 +92,8 @@ def read_xml(text: str, file: str) -> Element:
         element = Element(name, namespace, attributes, here())
         if len(path) >= _DEEPEST:
             raise InputError(f"<{name}> is nested too deeply; expected {_DEEPEST} levels at most", element.position)
+        if next(numbers) > MOST_ELEMENTS:
+            raise InputError(f"expected {MOST_ELEMENTS} elements at most", element.position)
         (path[-1].contents if path else root).append(element)
         path.append(element)
 

@@ -16,6 +16,7 @@ from pnm.core.execution.events import Fired, Observer
 from pnm.core.execution.run import Run
 from pnm.core.knowledge_base import KnowledgeBase, Layered
 from pnm.core.machine.machine import PetriNetMachine
+from pnm.core.pictures import xml_text
 from pnm.core.pictures.export import as_data
 from pnm.core.pictures.pnml import GRAMMAR, NET_TYPE, read_pnml, to_pnml
 from pnm.errors import InputError
@@ -80,6 +81,13 @@ def test_what_is_no_place_transition_net_is_refused(text: str, error: str) -> No
     with pytest.raises(InputError) as caught:
         read_pnml(text, "x")
     assert error in str(caught.value)
+
+
+def test_a_file_of_too_many_elements_is_refused_where_they_are_too_many(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(xml_text, "MOST_ELEMENTS", 5)
+    assert len(read_pnml(FRAME % PAIR).net.transitions) == 1
+    with pytest.raises(InputError, match="net:3:1: expected 5 elements at most"):
+        read_pnml(FRAME % f"{PAIR}\n{ARC}/>", "net")
 
 
 def refusal(text: str) -> InputError | None:
