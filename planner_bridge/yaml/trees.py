@@ -366,6 +366,8 @@ class _TreeReader:
         """Return the steps of a choice by whether a node succeeds: that is kept in a variable."""
         if len(node.contents) not in (2, 3):
             raise InputError(f"<IfThenElse> has {len(node.contents)} nodes; expected two or three", node.position)
+        if len(node.contents) == 2:  # it fails as its first node does
+            return [step for child in node.contents for step in self.steps(child, plan)]
         asked = self.plain(node.contents[0], plan)
         plan.parts += 1
         variable = f"failed_{plan.parts}"
@@ -379,9 +381,7 @@ class _TreeReader:
         has_failed = single(
             "Comparison", items(("eq", items((single("LocalQuery", variable, short=True), Bare("true")), short=True)), short=True)
         )
-        then, otherwise = (
-            items(self.steps(child, plan)) for child in (*node.contents[1:], Element("AlwaysSuccess", "", {}, node.position))[:2]
-        )
+        then, otherwise = (items(self.steps(child, plan)) for child in node.contents[1:])
         return [kept("false"), asked.step(), YamlMapping((Entry(has_failed, "if"), Entry(otherwise, "then"), Entry(then, "else")))]
 
     def plain(self, node: Element, plan: _Plan) -> _Call:
