@@ -286,6 +286,8 @@ class _Plan:
     steps: list[YamlMapping] = field(default_factory=list)
     parts: int = 0
     """Plans that were made of its parts."""
+    halts: bool = False
+    """Whether calls that run beside one that fails are cancelled."""
 
 
 class _TreeReader:
@@ -317,6 +319,7 @@ class _TreeReader:
                 continue
             keys = [Entry(items(plan.used, short=True), "params")] if plan.used and plan.name != self.main else []
             keys += [Entry(items(plan.stored, short=True), "results")] if plan.stored and plan.name != self.main else []
+            keys += [Entry("cancel", "on_failure")] if plan.halts else []
             whole.append(Entry(YamlMapping((*keys, Entry(items(plan.steps), "plan"))), plan.name, apart=True))
         return document(YamlMapping(tuple(whole)))
 
@@ -347,6 +350,7 @@ class _TreeReader:
                     raise InputError(
                         "<Parallel> is read if all of its nodes must succeed: success_count -1, failure_count 1", node.position
                     )
+                plan.halts = True
                 return [single("concurrent_actions", items(self.branch(child, plan) for child in node.contents))]
             case "Repeat":
                 rounds = self.number(node, "num_cycles", _MOST)

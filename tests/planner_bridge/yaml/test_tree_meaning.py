@@ -31,7 +31,12 @@ class Robots:
         loop.call_soon(report, Accepted(request.id))
         if name == "Slow":  # until it is cancelled; a plan that waits for it sees it end at last
             self._working[request.id] = name, report
+            for late, other in [(key, one[1]) for key, one in self._working.items() if one[0] == "Late"]:
+                loop.call_soon(other, Ended(late, Outcome(OutcomeKind.ABORTED)))
             loop.call_later(10, self._end, request.id, OutcomeKind.SUCCEEDED)
+            return
+        if name == "Late":  # it fails when the slow one works
+            self._working[request.id] = name, report
             return
         end = OutcomeKind.ABORTED if name in self._failing else OutcomeKind.SUCCEEDED
         loop.call_soon(report, Ended(request.id, Outcome(end, self._results)))
@@ -60,3 +65,11 @@ def test_a_choice_of_two_nodes_fails_as_its_condition_does(tmp_path: Path) -> No
     text = tree("<Sequence><IfThenElse><IsOpen/><Go to='a'/></IfThenElse><Take/></Sequence>")
     assert told(text, tmp_path) == (True, ["IsOpen", "Go a", "Take"])
     assert told(text, tmp_path, "IsOpen") == (False, ["IsOpen"])
+
+
+def test_nodes_beside_one_that_fails_are_halted(tmp_path: Path) -> None:
+    slow = tree("<Sequence><Slow/><Never/></Sequence>", "S")
+    for other in ("<Slow/>", "<Sequence><Slow/><Never/></Sequence>", '<SubTree ID="S"/>', '<Fallback><SubTree ID="S"/><Never/></Fallback>'):
+        text = tree(f"<Fallback><Parallel><Late/>{other}</Parallel><C/></Fallback>") + slow
+        assert told(text, tmp_path) == (True, ["Late", "Slow", "cancel Slow", "C"]), other
+    assert told(tree("<Parallel><Late/><Slow/></Parallel>"), tmp_path) == (False, ["Late", "Slow", "cancel Slow"])
