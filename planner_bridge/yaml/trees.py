@@ -400,7 +400,7 @@ class _TreeReader:
         while (name := f"{plan.name}_{plan.parts}") in self.trees:
             plan.parts += 1
         made = self.plan_of(name, *nodes)
-        plan.used.update(made.used)
+        plan.used.update({variable: None for variable in made.used if variable not in plan.stored})
         plan.stored.update(made.stored)
         return _Call(made.name, {name: single("LocalQuery", name, short=True) for name in made.used})
 
@@ -461,10 +461,12 @@ class _TreeReader:
         if name in RESERVED or name in self.trees or name == _KEEP:
             raise InputError(f"an action cannot be called {name!r} in a plan", node.position)
         ports = {} if name not in self.models else {port.of("name"): port for port in self.models[name].contents}
+        if both := next((port for port, its in ports.items() if its.tag == "inout_port"), ""):
+            raise InputError(f"{both!r} of {name!r} is an inout_port; expected an input_port and an output_port", ports[both].position)
         arguments, stored = dict[str, Value](), dict[str, str]()
         for port, text in self.ports(node):
             if port in ports and ports[port].tag == "output_port":
-                stored[port] = text.strip("{}")
+                stored[port] = self.variable(text, node)
                 plan.stored[stored[port]] = None
             else:
                 arguments[port] = self.value(text, plan, node)
@@ -481,10 +483,14 @@ class _TreeReader:
         if name in self.open:
             raise InputError(f"the tree {name!r} calls itself", node.position)
         made = self.plan_of(name, self.trees[name])
-        given = {port: self.value(text, plan, node) for port, text in self.ports(node)}
-        if missing := [variable for variable in made.used if variable not in given and variable not in made.stored]:
+        texts = dict(self.ports(node))
+        given = {port: self.value(text, plan, node) for port, text in texts.items() if port in made.used}
+        if missing := [variable for variable in made.used if variable not in given]:
             raise InputError(f"the tree {name!r} asks for {missing[0]!r}, which <SubTree> does not give", node.position)
-        return _Call(name, {port: value for port, value in given.items() if port in made.used})
+        stored = {port: self.variable(text, node) for port, text in texts.items() if port in made.stored and text.startswith("{")}
+        plan.stored.update(dict.fromkeys(stored.values()))
+        # what it does not give on has a name that nobody asks for, or else it would be the caller's variable of the same name
+        return _Call(name, given, {port: stored.get(port, f"{name}_{port}_of_its_own") for port in made.stored})
 
     def ports(self, node: Element) -> Iterator[tuple[str, str]]:
         """Yield the ports of a node, and their texts."""
@@ -494,11 +500,16 @@ class _TreeReader:
             if not (key in ("ID", "name") or key.startswith("_")):
                 yield key, text
 
+    def variable(self, text: str, node: Element) -> str:
+        """Return the name of a variable in braces."""
+        if not re.fullmatch(r"\{[A-Za-z_]\w*\}", text):
+            raise InputError(f"{text!r} is not read; expected the name of a variable in braces", node.position)
+        return text[1:-1]
+
     def value(self, text: str, plan: _Plan, node: Element) -> Value:
         """Return the value of a port: a variable in braces, or a literal."""
         if text.startswith("{") and text.endswith("}"):
-            if not re.fullmatch(r"[A-Za-z_]\w*", variable := text[1:-1]):
-                raise InputError(f"{text!r} is not read; expected the name of a variable in braces", node.position)
+            variable = self.variable(text, node)
             if variable not in plan.stored:
                 plan.used[variable] = None
             return single("LocalQuery", variable, short=True)

@@ -3,23 +3,25 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Mapping
 from pathlib import Path
+from typing import Final
 from uuid import UUID
+
+import pytest
 
 from planner_bridge.pipeline.achieve import carry_out
 from planner_bridge.yaml.trees import read_tree
 from pnm.core.machine.plan_graph import GroundAction
 from pnm.core.machine.requests import Accepted, Ended, Outcome, OutcomeKind, Reporter, Request
+from pnm.errors import InputError
 
 
 class Robots:
     """An action client. The mutable state is what robots were told, and which of them still work."""
 
-    def __init__(self, failing: frozenset[str], results: Mapping[str, object]) -> None:
+    def __init__(self, failing: frozenset[str]) -> None:
         self.told: list[str] = []
         self._failing = failing
-        self._results = results
         self._working: dict[UUID, tuple[str, Reporter]] = {}
 
     def goal_fields(self, action: GroundAction, /) -> tuple[str, ...] | None:
@@ -39,7 +41,7 @@ class Robots:
             self._working[request.id] = name, report
             return
         end = OutcomeKind.ABORTED if name in self._failing else OutcomeKind.SUCCEEDED
-        loop.call_soon(report, Ended(request.id, Outcome(end, self._results)))
+        loop.call_soon(report, Ended(request.id, Outcome(end, {"where": f"place{len(self.told)}"})))
 
     def cancel(self, request: UUID, /) -> None:
         self.told.append(f"cancel {self._working[request][0]}")
@@ -50,9 +52,9 @@ class Robots:
             self._working.pop(request)[1](Ended(request, Outcome(kind)))
 
 
-def told(trees: str, folder: Path, failing: str = "", **results: object) -> tuple[bool, list[str]]:
+def told(trees: str, folder: Path, failing: str = "") -> tuple[bool, list[str]]:
     """Carry out trees; return whether the main one succeeds, and what robots are told."""
-    file, robots = folder / "plan.yaml", Robots(frozenset(failing.split()), results)
+    file, robots = folder / "plan.yaml", Robots(frozenset(failing.split()))
     file.write_text(read_tree(f'<root BTCPP_format="4" main_tree_to_execute="M">{trees}</root>', "tree.xml"), encoding="utf-8")
     return carry_out(file, "M", actions=robots).goal_reached, robots.told
 
@@ -73,3 +75,38 @@ def test_nodes_beside_one_that_fails_are_halted(tmp_path: Path) -> None:
         text = tree(f"<Fallback><Parallel><Late/>{other}</Parallel><C/></Fallback>") + slow
         assert told(text, tmp_path) == (True, ["Late", "Slow", "cancel Slow", "C"]), other
     assert told(tree("<Parallel><Late/><Slow/></Parallel>"), tmp_path) == (False, ["Late", "Slow", "cancel Slow"])
+
+
+MODEL: Final = """<TreeNodesModel><Action ID="Find"><output_port name="where"/></Action><Action ID="Go"><input_port name="to"/></Action>
+<Action ID="B"/></TreeNodesModel>"""
+
+
+def test_what_a_tree_stores_is_that_of_its_caller_under_the_callers_name(tmp_path: Path) -> None:
+    inner = tree('<Sequence><Find where="{pose}"/><Go to="{pose}"/></Sequence>', "S") + MODEL
+    text = tree('<Sequence><SubTree ID="S" pose="{y}"/><Go to="{y}"/></Sequence>') + inner
+    assert told(text, tmp_path) == (True, ["Find", "Go place1", "Go place1"])
+    text = tree('<SubTree ID="T" pose="{y}"/>') + tree('<Sequence><SubTree ID="S" pose="{x}"/><Go to="{x}"/></Sequence>', "T") + inner
+    assert told(text, tmp_path) == (True, ["Find", "Go place1", "Go place1"])
+    again = tree('<RetryUntilSuccessful num_attempts="2"><SubTree ID="S" pose="{y}"/></RetryUntilSuccessful>')
+    assert told(again + inner, tmp_path) == (True, ["Find", "Go place1"])
+
+
+def test_a_tree_keeps_what_its_caller_does_not_ask_for(tmp_path: Path) -> None:
+    """A variable of another tree has nothing to do with one that has the same name."""
+    text = tree('<Sequence><Find where="{pose}"/><SubTree ID="S"/><Go to="{pose}"/></Sequence>')
+    inner = tree('<Sequence><Look where="{pose}"/></Sequence>', "S")
+    model = MODEL.replace('<Action ID="B"/>', '<Action ID="Look"><output_port name="where"/></Action>')
+    robots = read_tree(f'<root BTCPP_format="4" main_tree_to_execute="M">{text}{inner}{model}</root>', "tree.xml")
+    assert told(text + inner + model, tmp_path)[1] == ["Find", "Look", "Go place1"], robots
+
+
+def test_a_variable_that_is_made_inside_is_not_demanded_from_outside(tmp_path: Path) -> None:
+    part = '<RetryUntilSuccessful num_attempts="2"><Sequence><Go to="{x}"/><B/></Sequence></RetryUntilSuccessful>'
+    text = tree('<SubTree ID="S"/>') + tree(f'<Sequence><Find where="{{x}}"/>{part}</Sequence>', "S") + MODEL
+    assert told(text, tmp_path) == (True, ["Find", "Go place1", "B"])
+
+
+def test_a_port_that_is_asked_and_told_is_refused(tmp_path: Path) -> None:
+    model = '<TreeNodesModel><Action ID="Inc">\n<inout_port name="val"/></Action></TreeNodesModel>'
+    with pytest.raises(InputError, match=r"tree.xml:2:1: 'val' of 'Inc' is an inout_port"):
+        told(tree('<Inc val="{n}"/>') + model, tmp_path)
