@@ -124,7 +124,7 @@ def from_yaml(file: Path, output: Path, force: bool) -> int:
     Also writes its problem, if it has one, and its bindings as bindings.yaml. A file of BehaviorTree.CPP (.xml) becomes plan.yaml: a plan
     for each tree, the main tree first, which `pnm run --plan` carries out by its --name.
     """
-    is_tree = file.suffix == ".xml"
+    is_tree = file.suffix.lower() == ".xml"
     result = Imported({"plan.yaml": read_tree(read_text(file, MAX_BYTES), str(file))}) if is_tree else imported(file)
     options.print_warnings(result.warnings)
     try:

@@ -20,7 +20,7 @@ from pnm.core.machine.plan_graph import ActionCall, Choice, Flow, Junction, Loop
 from pnm.core.net.net import reduced
 from pnm.core.pictures.xml_text import Element, read_xml, xml
 from pnm.errors import InputError, suggestion
-from pnm.language.grammar import RESERVED
+from pnm.language.grammar import RESERVED, Document
 
 _PORT: Final = re.compile(r"(?!ID$|name$|_)[A-Za-z_][A-Za-z0-9_.-]*")
 """Names that the attribute of a node may have as a port."""
@@ -296,7 +296,17 @@ class _TreeReader:
     def __init__(self, root: Element) -> None:
         if (root.tag, root.attributes.get("BTCPP_format")) != ("root", "4"):
             raise InputError('expected <root BTCPP_format="4">, a file of BehaviorTree.CPP 4', root.position)
-        self.trees = {tree.of("ID"): tree for tree in root.all("BehaviorTree")}
+        self.trees: dict[str, Element] = {}
+        for node in root.contents:
+            if node.tag not in ("BehaviorTree", "TreeNodesModel"):
+                raise InputError(f"<{node.tag}> is not read here; expected a <BehaviorTree>, and all of them in this file", node.position)
+            if node.tag == "TreeNodesModel":
+                continue
+            if (name := node.of("ID")) in self.trees:
+                raise InputError(f"there are two trees {name!r}; the other one is at {self.trees[name].position}", node.position)
+            if name in (RESERVED | Document.known.keys() | {_KEEP}):
+                raise InputError(f"a tree cannot be called {name!r}: it is a word of the language", node.position)
+            self.trees[name] = node
         if not self.trees:
             raise InputError("expected a <BehaviorTree>", root.position)
         self.main = root.attributes.get("main_tree_to_execute", "MainTree" if "MainTree" in self.trees else next(iter(self.trees)))
@@ -310,7 +320,8 @@ class _TreeReader:
 
     def text(self) -> str:
         """Return the plans as one file of the language, that of the main tree first."""
-        self.plan_of(self.main, self.trees[self.main])
+        for name in (self.main, *self.trees):
+            self.plan_of(name, self.trees[name])
         entries = [Entry(single("params", items(params, short=True), short=True), name) for name, params in sorted(self.actions.items())]
         keep = [Entry(single("type", "kb_action", short=True), _KEEP)] if any(plan.name == _KEEP for plan in self.plans.values()) else []
         whole = [Entry(YamlMapping((*entries, *keep)), "actions")]
@@ -464,7 +475,7 @@ class _TreeReader:
         if both := next((port for port, its in ports.items() if its.tag == "inout_port"), ""):
             raise InputError(f"{both!r} of {name!r} is an inout_port; expected an input_port and an output_port", ports[both].position)
         arguments, stored = dict[str, Value](), dict[str, str]()
-        for port, text in self.ports(node):
+        for port, text in self.ports(node, name):
             if port in ports and ports[port].tag == "output_port":
                 stored[port] = self.variable(text, node)
                 plan.stored[stored[port]] = None
@@ -483,7 +494,7 @@ class _TreeReader:
         if name in self.open:
             raise InputError(f"the tree {name!r} calls itself", node.position)
         made = self.plan_of(name, self.trees[name])
-        texts = dict(self.ports(node))
+        texts = dict(self.ports(node, name))
         given = {port: self.value(text, plan, node) for port, text in texts.items() if port in made.used}
         if missing := [variable for variable in made.used if variable not in given]:
             raise InputError(f"the tree {name!r} asks for {missing[0]!r}, which <SubTree> does not give", node.position)
@@ -492,13 +503,16 @@ class _TreeReader:
         # what it does not give on has a name that nobody asks for, or else it would be the caller's variable of the same name
         return _Call(name, given, {port: stored.get(port, f"{name}_{port}_of_its_own") for port in made.stored})
 
-    def ports(self, node: Element) -> Iterator[tuple[str, str]]:
-        """Yield the ports of a node, and their texts."""
+    def ports(self, node: Element, name: str) -> Iterator[tuple[str, str]]:
+        """Yield the ports of a node, and their texts: those of the model that it does not give have their defaults."""
         for key, text in node.attributes.items():
             if key in ("_skipIf", "_failureIf", "_successIf", "_while", "_onSuccess", "_onFailure", "_onHalted", "_post"):
                 raise InputError(f"{key} is not read: scripts are no part of a plan", node.position)
             if not (key in ("ID", "name") or key.startswith("_")):
                 yield key, text
+        for port in self.models[name].contents if name in self.models else ():
+            if port.of("name") not in node.attributes and "default" in port.attributes:
+                yield port.of("name"), port.of("default")
 
     def variable(self, text: str, node: Element) -> str:
         """Return the name of a variable in braces."""

@@ -8,7 +8,9 @@ from typing import Final
 from uuid import UUID
 
 import pytest
+from click.testing import CliRunner
 
+from planner_bridge.cli.convert import from_yaml
 from planner_bridge.pipeline.achieve import carry_out
 from planner_bridge.yaml.trees import read_tree
 from pnm.core.machine.plan_graph import GroundAction
@@ -110,3 +112,38 @@ def test_a_port_that_is_asked_and_told_is_refused(tmp_path: Path) -> None:
     model = '<TreeNodesModel><Action ID="Inc">\n<inout_port name="val"/></Action></TreeNodesModel>'
     with pytest.raises(InputError, match=r"tree.xml:2:1: 'val' of 'Inc' is an inout_port"):
         told(tree('<Inc val="{n}"/>') + model, tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("text", "error"),
+    [
+        (tree("<A/>") + "\n" + tree("<B/>"), "tree.xml:2:1: there are two trees 'M'; the other one is at tree.xml:1:"),
+        ('\n<include path="other.xml"/>' + tree("<A/>"), "tree.xml:2:1: <include> is not read here; expected a <BehaviorTree>"),
+        (tree("<A/>") + "\n" + tree("<B/>", "keep"), "tree.xml:2:1: a tree cannot be called 'keep': it is a word of the language"),
+        (tree("<A/>") + "\n" + tree("<B/>", "if"), "tree.xml:2:1: a tree cannot be called 'if'"),
+        (tree("<A/>") + "\n" + tree("<B/>", "actions"), "tree.xml:2:1: a tree cannot be called 'actions'"),
+        (tree("<A/>") + "\n" + tree("<Inverter><B/></Inverter>", "N").replace(">", ">\n", 1), "tree.xml:3:1: <Inverter> is not read"),
+    ],
+)
+def test_no_tree_is_left_out_silently(text: str, error: str, tmp_path: Path) -> None:
+    with pytest.raises(InputError) as caught:
+        told(text, tmp_path)
+    assert str(caught.value).startswith(error)
+
+
+def test_a_tree_that_none_calls_is_a_plan_too() -> None:
+    text = read_tree(f'<root BTCPP_format="4" main_tree_to_execute="M">{tree("<B/>", "A")}{tree("<C/>")}</root>', "tree.xml")
+    assert text.index("\nM:") < text.index("\nA:")
+
+
+def test_ports_that_are_not_given_have_their_defaults(tmp_path: Path) -> None:
+    model = """<TreeNodesModel><Action ID="Go"><input_port name="to" default="dock"/></Action>
+      <SubTree ID="S"><input_port name="place" default="hall"/></SubTree></TreeNodesModel>"""
+    text = tree('<Sequence><Go/><Go to="shop"/><SubTree ID="S"/></Sequence>') + tree('<Go to="{place}"/>', "S") + model
+    assert told(text, tmp_path) == (True, ["Go dock", "Go shop", "Go hall"])
+
+
+def test_a_tree_is_one_in_capitals_as_well(tmp_path: Path) -> None:
+    (tmp_path / "M.XML").write_text(f'<root BTCPP_format="4">{tree("<A/>")}</root>', encoding="utf-8")
+    assert CliRunner().invoke(from_yaml, [str(tmp_path / "M.XML"), "-o", str(tmp_path / "plans")]).exit_code == 0
+    assert (tmp_path / "plans/plan.yaml").is_file()
