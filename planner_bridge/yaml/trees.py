@@ -527,7 +527,7 @@ class _TreeReader:
             if variable not in plan.stored:
                 plan.used[variable] = None
             return single("LocalQuery", variable, short=True)
-        return Bare(text) if re.fullmatch(r"-?\d{1,15}(\.\d{1,15})?", text) else text
+        return Bare(text) if re.fullmatch(r"-?(0|[1-9][0-9]{0,14})(\.[0-9]{1,15})?", text) else text
 
     def only(self, node: Element) -> Element:
         """Return the one node inside of another."""

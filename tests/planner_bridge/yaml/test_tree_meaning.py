@@ -18,6 +18,11 @@ from pnm.core.machine.requests import Accepted, Ended, Outcome, OutcomeKind, Rep
 from pnm.errors import InputError
 
 
+def told_as(value: object) -> str:
+    """Return a value as it is written here: a word as it is, and what might be no text as it is in Python."""
+    return value if isinstance(value, str) and value[0].isalpha() else repr(value)
+
+
 class Robots:
     """An action client. The mutable state is what robots were told, and which of them still work."""
 
@@ -31,7 +36,7 @@ class Robots:
 
     def send(self, request: Request, report: Reporter, /) -> None:
         name, loop = request.action.name, asyncio.get_running_loop()
-        self.told.append(" ".join((name, *(str(request.goal[one]) for one in request.action.parameters))))
+        self.told.append(" ".join((name, *(told_as(request.goal[one]) for one in request.action.parameters))))
         loop.call_soon(report, Accepted(request.id))
         if name == "Slow":  # until it is cancelled; a plan that waits for it sees it end at last
             self._working[request.id] = name, report
@@ -147,3 +152,13 @@ def test_a_tree_is_one_in_capitals_as_well(tmp_path: Path) -> None:
     (tmp_path / "M.XML").write_text(f'<root BTCPP_format="4">{tree("<A/>")}</root>', encoding="utf-8")
     assert CliRunner().invoke(from_yaml, [str(tmp_path / "M.XML"), "-o", str(tmp_path / "plans")]).exit_code == 0
     assert (tmp_path / "plans/plan.yaml").is_file()
+
+
+@pytest.mark.parametrize("text", ["010", "00123", "-01", "1_0", "0x10", "12:30:00", "null", "yes", "~", "١٢", "1e3", "+1", ".5", "5."])
+def test_what_looks_like_a_number_to_yaml_is_the_text_that_it_is(text: str, tmp_path: Path) -> None:
+    assert told(tree(f'<A code="{text}"/>'), tmp_path) == (True, [f"A {told_as(text)}"])
+
+
+@pytest.mark.parametrize(("text", "number"), [("0", 0), ("-12", -12), ("1.5", 1.5), ("0.25", 0.25)])
+def test_numbers_are_numbers(text: str, number: float, tmp_path: Path) -> None:
+    assert told(tree(f'<A code="{text}"/>'), tmp_path) == (True, [f"A {number!r}"])
