@@ -9,6 +9,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from math import ceil
 from typing import Any, Final, NamedTuple, assert_never
 
 from planner_bridge.yaml.emitter import Bare, Entry, Value, YamlMapping, document, items, single
@@ -67,6 +68,11 @@ def _all(children: Sequence[TreeNode], tag: str = "Sequence") -> TreeNode:
 
 def _holds(condition: object) -> TreeNode:
     return TreeNode("Condition", {"ID": "Holds", "condition": str(condition)})
+
+
+def _msec(seconds: float) -> str:
+    """Return a limit in milliseconds, one at least: none is no limit there."""
+    return str(max(1, ceil(round(seconds * 1000, 6))))
 
 
 class _TreeWriter:
@@ -142,7 +148,7 @@ class _TreeWriter:
                 return TreeNode("Sequence", {}, (rounds, ends))
             case WaitUntil():
                 asks = TreeNode("RetryUntilSuccessful", _ENDLESS, (_holds(step.condition),))
-                return TreeNode("Timeout", {"msec": f"{step.limit * 1000:.0f}"}, (asks,))
+                return TreeNode("Timeout", {"msec": _msec(step.limit)}, (asks,))
             case Junction():
                 return _SUCCESS
             case _:
@@ -155,6 +161,8 @@ class _TreeWriter:
         ports = dict[str, str]()
         for name, text in zip(names, action.arguments, strict=True):
             ports[name] = text
+            if text.startswith("{") and text.endswith("}"):
+                self.lose("texts in braces: a leaf reads them as entries of the blackboard")
             if text.startswith("?"):  # it has no value before
                 asked = given.get(name)
                 variable = asked.name.value if isinstance(asked, Query) and isinstance(asked.name, Literal) else name
@@ -169,7 +177,7 @@ class _TreeWriter:
         if action.outcomes:
             self.lose("outcomes: a leaf succeeds or fails")
         if call.timeout is not None:
-            node = TreeNode("Timeout", {"msec": f"{call.timeout * 1000:.0f}"}, (node,))
+            node = TreeNode("Timeout", {"msec": _msec(call.timeout)}, (node,))
         if call.retries and not any(Cause.ABORTED in one.causes for one in call.recoveries):  # which come in place of other attempts
             node = TreeNode("RetryUntilSuccessful", {"num_attempts": str(call.retries + 1)}, (node,))
         ways = [node]
@@ -267,7 +275,7 @@ class _Call:
         if self.retries:
             options.append(Entry(Bare(str(self.retries)), "retries"))
         if self.timeout is not None:
-            options.append(Entry(Bare(f"{self.timeout:g}"), "timeout"))
+            options.append(Entry(Bare(f"{self.timeout:.10g}"), "timeout"))
         if self.then is not None:
             chain = items(self.then, short=len(self.then) < 3)
             during = YamlMapping(tuple([Entry(chain, cause) for cause in _CAUSES]))

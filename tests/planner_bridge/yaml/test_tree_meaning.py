@@ -12,10 +12,12 @@ from click.testing import CliRunner
 
 from planner_bridge.cli.convert import from_yaml
 from planner_bridge.pipeline.achieve import carry_out
-from planner_bridge.yaml.trees import read_tree
-from pnm.core.machine.plan_graph import GroundAction
+from planner_bridge.yaml.trees import Tree, plan_tree, read_tree
+from pnm.core.logic.conditions import TRUE
+from pnm.core.machine.plan_graph import ActionCall, GroundAction, PlanGraph
 from pnm.core.machine.requests import Accepted, Ended, Outcome, OutcomeKind, Reporter, Request
 from pnm.errors import InputError
+from pnm.language.plan import read_plans
 
 
 def told_as(value: object) -> str:
@@ -162,3 +164,31 @@ def test_what_looks_like_a_number_to_yaml_is_the_text_that_it_is(text: str, tmp_
 @pytest.mark.parametrize(("text", "number"), [("0", 0), ("-12", -12), ("1.5", 1.5), ("0.25", 0.25)])
 def test_numbers_are_numbers(text: str, number: float, tmp_path: Path) -> None:
     assert told(tree(f'<A code="{text}"/>'), tmp_path) == (True, [f"A {number!r}"])
+
+
+def written(plan: str, folder: Path) -> Tree:
+    """Return a plan by hand as a tree."""
+    (folder / "plan.yaml").write_text(plan, encoding="utf-8")
+    (read,) = read_plans(folder / "plan.yaml").values()
+    return plan_tree(read.graph)
+
+
+def test_a_text_in_braces_is_a_loss() -> None:
+    call = ActionCall(0, GroundAction("say", ("{name}",), ("text",)))
+    assert [lost for lost in plan_tree(PlanGraph((call,), (), TRUE)).lost if "texts in braces" in lost]
+    call = ActionCall(0, GroundAction("say", ("{name",), ("text",)))
+    assert not [lost for lost in plan_tree(PlanGraph((call,), (), TRUE)).lost if "texts in braces" in lost]
+
+
+@pytest.mark.parametrize(("seconds", "msec"), [("0.0001", "1"), ("0.0015", "2"), ("16.1", "16100"), ("8.2", "8200"), ("2", "2000")])
+def test_a_limit_is_never_none(seconds: str, msec: str, tmp_path: Path) -> None:
+    """BehaviorTree.CPP has no limit where a node says 0 milliseconds."""
+    assert f'msec="{msec}"' in written(f"actions: {{say: }}\nplan:\n  - say:\n    timeout: {seconds}\n", tmp_path).text
+    waiting = f"plan:\n  - wait_until: {{condition: {{Comparison: [eq, [1, 1]]}}, limit: {seconds}}}\n"
+    assert f'msec="{msec}"' in written(waiting, tmp_path).text
+
+
+@pytest.mark.parametrize("msec", ["1", "1234567", "1000000000"])
+def test_a_limit_is_read_to_the_millisecond(msec: str, tmp_path: Path) -> None:
+    text = read_tree(f'<root BTCPP_format="4">{tree(f"<Timeout msec={msec!r}><A/></Timeout>")}</root>', "tree.xml")
+    assert f'msec="{msec}"' in written(text, tmp_path).text
