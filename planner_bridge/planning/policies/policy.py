@@ -9,7 +9,7 @@ from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial, reduce
-from itertools import chain, product
+from itertools import chain, product, takewhile
 from math import inf, isfinite
 from types import MappingProxyType
 from typing import Final, NamedTuple
@@ -262,6 +262,8 @@ class Thinking:
         self.found: tuple[Policy, ...] = ()
         self.fallback: WithLuck | None = None
         """What is followed as long as there is none."""
+        self._followed, self._left = set[Policy | WithLuck](), set[Policy | WithLuck]()
+        """Those that were followed, and of these the ones that said nothing of where that has led."""
         self.error: Exception | None = None
         """What ended the search before its time, a fault of this program."""
         self._found, self._over = threading.Event(), threading.Event()
@@ -294,7 +296,13 @@ class Thinking:
     @property
     def policies(self) -> tuple[Policy | WithLuck, ...]:
         """What to follow, the best one first."""
-        return (*self.found, self.fallback) if self.fallback else self.found
+        return tuple(one for one in (*self.found, self.fallback) if one is not None and one not in self._left)
+
+    def follow(self, policy: Policy | WithLuck) -> None:
+        """Note that one is followed, and no more a better one that was: whoever followed both in turn might go round for ever."""
+        better = takewhile(lambda one: one is not policy, self.policies)
+        self._left.update(self._followed.intersection(better))
+        self._followed.add(policy)
 
     @property
     def policy(self) -> Policy | None:
