@@ -126,6 +126,7 @@ class Found(Thinking):
 
     def __init__(self, *policies: Policy) -> None:
         self.problem, self.found, self.fallback = CUPS, policies, None
+        self._followed, self._left = set(), set()
 
 
 def test_a_better_policy_that_is_found_at_work_is_noted_when_it_is_followed(tmp_path: Path) -> None:

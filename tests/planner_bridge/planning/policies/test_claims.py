@@ -154,3 +154,16 @@ def test_without_a_policy_a_plan_is_followed_as_long_as_its_rest_works(monkeypat
     again = solve(lost, before=found.policy)
     assert isinstance(again.policy, Thinking)
     assert again.policy.search.is_hard, "for which nobody waits"
+
+
+def test_a_better_policy_that_has_led_nowhere_is_not_followed_again() -> None:
+    go = problem("(:action go :parameters () :effect (oneof (done) (and)))")
+    best, other, newer = (Policy(go, ()) for _ in range(3))
+    thinking = Thinking(PolicySearch(go), 0.0)
+    thinking.found = best, other
+    thinking.follow(best)
+    thinking.follow(other)
+    assert thinking.policies == (other,)
+    thinking.found = newer, *thinking.found
+    thinking.follow(other)
+    assert thinking.policies == (newer, other), "what was never followed may be of use later"
