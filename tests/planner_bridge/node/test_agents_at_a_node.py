@@ -42,6 +42,7 @@ class PlayedNode:
     code: Code = Code.GOAL_REACHED
     tasks: dict[UUID, SimpleNamespace] = field(default_factory=lambda: {OTHERS: task(OTHERS)})
     done: list[tuple[str, Any]] = field(default_factory=list)
+    taken: list[dict[str, Any]] = field(default_factory=list)
 
     async def ask(self, kind: str, service: str, request: Mapping[str, object]) -> SimpleNamespace:
         return SimpleNamespace(domain=write_domain(PROBLEM.domain), problem=write_problem(PROBLEM))
@@ -59,6 +60,13 @@ class PlayedNode:
 
     async def command(self, command: str, task: UUID, **fields: object) -> None:
         self.done.append((command, task))
+
+    async def hands(self) -> list[dict[str, Any]]:
+        return self.taken
+
+    async def put(self, name: str, said: Mapping[str, str] | None) -> str:
+        self.taken = [hand for hand in self.taken if hand["name"] != name] + ([{"name": name, **said}] if said else [])
+        return ""
 
     async def send(self, server: str, goal: Mapping[str, object], id: UUID) -> None:
         self.tasks[id] = task(id)
@@ -165,6 +173,22 @@ def test_an_agent_ends_its_own_goals_and_continues_only_what_it_has_paused():
     assert (paused["is"], resumed["is"], ended["is"]) == ("paused", "going on", "cancelled")
     assert "was not paused from here" in by_others
     assert [command for command, _ in node.done] == ["achieve_goal", "pause", "resume", "pause", "cancel"]
+
+
+def test_an_agent_gives_back_what_it_has_taken_and_nothing_else():
+    node = PlayedNode(taken=[{"name": "r2", "by": "ada", "reason": ""}])
+
+    async def act(client: Client, _: OfferedNode) -> list[Any]:
+        taken = await asked(client, "take", robot="r1", reason="it is in the way")
+        in_hands = (await asked(client, "status"))["in_hands"]
+        return [taken, in_hands, *[await asked(client, "give", robot=robot) for robot in ("r2", "r1", "r1")]]
+
+    taken, in_hands, by_others, given, again = at(node, Approval(0.0), act)
+    assert (taken["is"], given["is"]) == ("taken", "given back")
+    assert "r2 was not taken from here" in by_others
+    assert "r1 was not taken from here" in again
+    assert [hand["name"] for hand in in_hands] == ["r2", "r1"]
+    assert "only reads" in at(node, None, lambda client, _: asked(client, "take", robot="r1"))
 
 
 def test_an_agent_answers_questions_but_approves_nothing():
