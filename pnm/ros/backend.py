@@ -21,7 +21,7 @@ from pnm.core.machine.bindings import Binding, Bindings, Table, open_parameters,
 from pnm.core.machine.plan_graph import GroundAction
 from pnm.core.machine.requests import ActionClient
 from pnm.core.readiness import Readiness, ReadyState
-from pnm.errors import InputError, suggestion
+from pnm.errors import InputError, RosError, suggestion
 from pnm.knowledge.sensor_model import NO_SENSING, Objects, Sensing, instances, unknown
 from pnm.knowledge.source import FindKnowledge, Source
 from pnm.knowledge.state_reports import StateReports
@@ -187,7 +187,10 @@ class Ros2Backend:
 
     async def busy_elsewhere(self) -> tuple[str, ...]:
         """Return the action servers that are at work on goals of other programs, or on goals that this node has forgotten."""
-        return await self.ros.ask(self._others.busy_servers)  # type: ignore[no-any-return]
+        try:
+            return await self.ros.ask(self._others.busy_servers)  # type: ignore[no-any-return]
+        except RosError:  # the node is closed, as when another process has taken its journal over
+            return ()
 
     @property
     def _patience(self) -> float:
