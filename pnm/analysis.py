@@ -17,7 +17,7 @@ from pnm.core.machine.plan_graph import ActionCall, PlanGraph, flows, necessary,
 from pnm.core.net.net import Marking, PetriNet
 from pnm.core.pictures.export import as_data
 from pnm.core.pictures.pnml import PnmlNet, read_pnml as pnml_in
-from pnm.errors import InputError
+from pnm.errors import InputError, not_installed
 from pnm.files.text import read_text
 
 try:
@@ -25,7 +25,7 @@ try:
     import numpy as np
     from numpy.typing import NDArray
 except ImportError as missing:
-    raise ImportError(f"{missing.name} is missing; `pip install 'petri-net-machines[analysis]'` installs it") from missing
+    raise ImportError(not_installed("pnm.analysis", missing, "analysis").message) from missing
 
 Array: TypeAlias = NDArray[np.int64]
 

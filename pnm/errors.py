@@ -98,6 +98,28 @@ class RosError(PnmError):
     """ROS 2 is not there, does not start, or does not answer in time."""
 
 
+def not_installed(what: str, error: ImportError, extra: str) -> InputError:
+    """Return the refusal of something that needs what an extra brings, with the command that installs it."""
+    return InputError(f"{what} needs {error.name}, which is not installed; {installation(extra)}")
+
+
+def installation(extra: str) -> str:
+    """Return the command that installs an extra: from the folder that this was installed from, or by name."""
+    from importlib.metadata import PackageNotFoundError, distribution  # here and below, because it is seldom needed
+    from json import loads
+    from shlex import quote
+    from urllib.parse import unquote, urlsplit
+
+    try:
+        origin = loads(distribution("petri-net-machines").read_text("direct_url.json") or "{}")  # PEP 610
+    except (PackageNotFoundError, ValueError):
+        origin = {}
+    if (folder := origin.get("dir_info")) is None:
+        return f"pip install 'petri-net-machines[{extra}]'"
+    path = unquote(urlsplit(origin["url"]).path)
+    return f"pip install {'-e ' if folder.get('editable') else ''}{quote(f'{path}[{extra}]')}"
+
+
 def counted(number: int, noun: str) -> str:
     """Return a number with its noun, in the plural if need be.
 

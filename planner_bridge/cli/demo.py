@@ -31,6 +31,7 @@ from pnm.actions.bindings_file import read_bindings
 from pnm.actions.faults import read_faults
 from pnm.clock import run_async
 from pnm.core.logic.conditions import conjuncts
+from pnm.errors import installation
 from pnm.files.process import own_environment, own_python
 
 _PACKAGE: Final = Path(__file__).parents[1]
@@ -64,8 +65,6 @@ def show_delivery(console: SafeConsole) -> int:
     return 0 if result.goal_reached and world.holds(problem.goal) else 1
 
 
-NEEDED: Final = {"rclpy": "pip install 'petri-net-machines[ros2]'", "pnm_interfaces": "pip install ./ros/pnm_interfaces"}
-"""The packages of the processes, and their installation."""
 SPEED: Final = "1.2"
 """The speed of the robot relative to real time."""
 BEGINNING: Final = 60.0
@@ -95,7 +94,8 @@ _STATES: Final = {"RUNNING": "green", "PAUSED": "yellow", "OVER": "bold green"}
 
 def show_mall(console: SafeConsole) -> int:
     """Play the script, and print what there is to see."""
-    missing = [advice for module, advice in NEEDED.items() if find_spec(module) is None]
+    needed = {"rclpy": installation("ros2"), "pnm_interfaces": "pip install ./ros/pnm_interfaces"}
+    missing = [advice for module, advice in needed.items() if find_spec(module) is None]
     if missing:
         console.print(f"This demo needs ROS 2 and our interfaces: {' && '.join(missing)}")
         return 1

@@ -28,7 +28,7 @@ from planner_bridge.model.problem import Problem
 from planner_bridge.pddl.writer import write_domain, write_problem
 from planner_bridge.planning.normal_form import action_assignments, functions_in_use, is_whole
 from pnm.core.logic.conditions import Exists, ForAll, every_part
-from pnm.errors import InputError
+from pnm.errors import InputError, installation
 from pnm.files.process import own_environment, own_python
 
 
@@ -120,7 +120,7 @@ def require_installed(name: str) -> None:
     if engine is None or engine.is_installed:
         return
     if not _has_package(engine.package):
-        raise InputError(f"the planner {name} is not installed: pip install {engine.package}, or 'petri-net-machines[planners]'")
+        raise InputError(f"the planner {name} is not installed: pip install {engine.package}, or {installation('planners')}")
     raise InputError(f"the planner {name} needs {engine.program}, which is not installed")
 
 

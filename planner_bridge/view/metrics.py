@@ -12,7 +12,7 @@ from typing import Final
 
 from planner_bridge.view.follow import Reader
 from planner_bridge.view.spans import Span, Spans
-from pnm.errors import InputError
+from pnm.errors import not_installed
 from pnm.files.database.place import Place
 from pnm.tasks import TaskState
 
@@ -34,7 +34,7 @@ class Metrics:
         try:
             import prometheus_client as prometheus
         except ModuleNotFoundError as error:
-            raise InputError(f"this needs {error.name}, which is not installed; pip install 'petri-net-machines[telemetry]'") from error
+            raise not_installed("this", error, "telemetry") from error
         self._reader = Reader[Spans](place, tells=Spans)
         self._lock = Lock()
         self._counted: Spans | None = None

@@ -10,7 +10,7 @@ from typing import Any, BinaryIO, Final, NamedTuple
 from planner_bridge.tasks.result import TASKS
 from planner_bridge.view.spans import LONG, Spans
 from pnm.core.machine.requests import OutcomeKind
-from pnm.errors import InputError, printable
+from pnm.errors import not_installed, printable
 from pnm.files.database.place import Place
 from pnm.journal import records
 from pnm.journal.replay import words
@@ -56,7 +56,7 @@ def record(place: Place, output: BinaryIO) -> str:
     try:
         from mcap_ros2.writer import Writer
     except ModuleNotFoundError as error:
-        raise InputError(f"this needs {error.name}, which is not installed; pip install 'petri-net-machines[telemetry]'") from error
+        raise not_installed("this", error, "telemetry") from error
     writer = Writer(output)
     types = {topic: writer.register_msgdef(*written) for topic, written in _TYPES.items()}
     tasks, robots = dict[str, None](), dict[str, None]()

@@ -21,7 +21,7 @@ from types import TracebackType
 from typing import Any, Final
 from uuid import UUID, uuid4
 
-from pnm.errors import InputError, PnmError
+from pnm.errors import InputError, PnmError, not_installed
 from pnm.files.process import own_environment, own_python
 from pnm.files.yaml_nodes import parse_value
 from pnm.tasks import ServedWorld, TaskCommands, TaskRefused, Tasks, TaskState, Wanted
@@ -126,7 +126,7 @@ def listening(port: int) -> socket.socket:
         import starlette  # noqa: F401
         import uvicorn  # noqa: F401, an extra, like starlette
     except ModuleNotFoundError as error:
-        raise InputError(f"the page needs {error.name}, which is not installed; pip install 'petri-net-machines[view]'") from error
+        raise not_installed("the page", error, "view") from error
     opened = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
     opened.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
     try:

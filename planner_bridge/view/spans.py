@@ -29,7 +29,7 @@ from pnm.core.execution.call_results import CallResult
 from pnm.core.execution.events import Answered
 from pnm.core.machine.plan_graph import step_words
 from pnm.core.machine.requests import CallOutcome, OutcomeKind
-from pnm.errors import InputError, PnmError, counted, printable
+from pnm.errors import InputError, PnmError, counted, not_installed, printable
 from pnm.files.database.place import Place
 from pnm.journal import records
 from pnm.journal.replay import ReplayStep
@@ -304,7 +304,7 @@ def collector(url: str) -> Send:
         from opentelemetry.exporter.otlp.proto.http.trace_exporter import OTLPSpanExporter
         from opentelemetry.sdk.trace.export import SpanExportResult
     except ModuleNotFoundError as error:
-        raise InputError(f"this needs {error.name}, which is not installed; pip install 'petri-net-machines[telemetry]'") from error
+        raise not_installed("this", error, "telemetry") from error
     path = parts.path if parts.path.strip("/") else "/v1/traces"
     exporter = OTLPSpanExporter(parts._replace(path=path).geturl(), timeout=_TIMEOUT)
     said: list[str] = []

@@ -14,7 +14,7 @@ from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from typing import Any, Final
 
-from pnm.errors import InputError
+from pnm.errors import not_installed
 from pnm.files.database.driver import DatabaseError, Driver, Layout, OperationLimit, Rows, check_version
 from pnm.files.database.place import ServerUrl
 
@@ -64,7 +64,7 @@ class Postgres(Driver):
         try:
             from pg8000.native import Connection
         except ImportError as error:
-            raise InputError("PostgreSQL needs pg8000; install petri-net-machines[postgres]") from error
+            raise not_installed("PostgreSQL", error, "postgres") from error
         ended = f"{LIMIT * 1000:.0f}"
         settings = {
             "search_path": url.name,

@@ -18,7 +18,7 @@ from functools import partial
 from time import monotonic
 from typing import Any, Final, TypeVar
 
-from pnm.errors import RosError, printable_lines
+from pnm.errors import RosError, installation, printable_lines
 from pnm.tasks import EVENTS
 
 try:
@@ -133,8 +133,7 @@ class RosThread:
         self, name: str = "pnm", *, namespace: str = "", args: Sequence[str] = (), managed: bool = False, limit: float = 20.0
     ) -> None:
         if _missing is not None:
-            advice = "`pip install 'petri-net-machines[ros2]'`, or source a ROS 2 installation"
-            raise RosError(f"ROS 2 is not there ({_missing}); {advice}") from _missing
+            raise RosError(f"ROS 2 is not there ({_missing}); `{installation('ros2')}`, or source a ROS 2 installation") from _missing
         self.node: Any = None
         self._functions: deque[Callable[[], object]] = deque()
         self._at_end: list[Callable[[], object]] = []

@@ -12,6 +12,7 @@ import pytest
 
 from planner_bridge.cli import demo as mall_demo
 from planner_bridge.cli.console import SafeConsole
+from pnm.errors import installation
 from tests.support.e2e.mall.deployment import Mall
 from tests.support.processes import Program, ros_domain
 
@@ -57,4 +58,4 @@ def test_without_ros_the_demo_says_what_to_install(monkeypatch):
     monkeypatch.setattr(mall_demo, "find_spec", lambda _: None)
     console = SafeConsole(file=io.StringIO(), width=200)
     assert mall_demo.show_mall(console) == 1
-    assert "pip install 'petri-net-machines[ros2]' && pip install ./ros/pnm_interfaces" in console.file.getvalue()
+    assert f"{installation('ros2')} && pip install ./ros/pnm_interfaces" in console.file.getvalue()

@@ -13,6 +13,7 @@ import pytest
 from click.testing import CliRunner
 
 from planner_bridge.cli.commands import app
+from pnm.errors import installation
 from tests.support.e2e.command_line import pnm, result
 from tests.support.files import ROOT
 from tests.support.processes import LIMIT
@@ -89,7 +90,7 @@ def test_without_ros_a_command_that_needs_it_has_its_help_and_says_what_to_insta
     program = f"import sys; {missing}; from planner_bridge.cli.commands import app; app(sys.argv[1:])"
     done = subprocess.run([sys.executable, "-c", program, *arguments], capture_output=True, text=True, check=False, cwd=ROOT)
     assert (done.returncode, len(done.stderr.splitlines())) == (status, status)
-    assert ("`pip install 'petri-net-machines[ros2]'`" in done.stderr) == bool(status)
+    assert (f"`{installation('ros2')}`" in done.stderr) == bool(status)
 
 
 # --- help ---

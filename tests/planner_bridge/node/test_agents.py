@@ -16,6 +16,7 @@ from planner_bridge.node.node_journal import latest_journal
 from planner_bridge.node.problem_service import served_files
 from planner_bridge.pipeline.loading import load
 from planner_bridge.tasks.settings import Settings
+from pnm.errors import installation
 from tests.support.e2e.command_line import pnm
 from tests.support.files import ROOT
 from tests.support.logic.agents import asked, over_stdio
@@ -117,4 +118,4 @@ def test_without_the_extra_the_command_names_what_installs_it(monkeypatch):
     monkeypatch.setitem(sys.modules, "mcp", None)
     done = pnm("mcp", *map(str, FILES))
     assert done.returncode == 2
-    assert "pip install 'petri-net-machines[mcp]'" in done.stderr
+    assert installation("mcp") in done.stderr

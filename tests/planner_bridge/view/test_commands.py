@@ -12,6 +12,7 @@ from pathlib import Path
 
 import pytest
 
+from pnm.errors import installation
 from tests.support.e2e.command_line import pnm
 from tests.support.e2e.page.serving import Stream, asked
 from tests.support.processes import Program, parent, until
@@ -57,7 +58,7 @@ def test_what_serves_the_page_is_named_if_it_is_not_there(delivery: Path, monkey
     monkeypatch.setitem(sys.modules, "uvicorn", None)
     done = pnm("replay", str(delivery), "--view=0")
     assert (done.returncode, done.stdout) == (2, "")
-    assert "pip install 'petri-net-machines[view]'" in done.stderr
+    assert installation("view") in done.stderr
 
 
 def url_in(program: Program) -> str:

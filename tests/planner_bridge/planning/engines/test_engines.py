@@ -23,7 +23,7 @@ from planner_bridge.planning.engines import require_installed
 from planner_bridge.planning.kairos import validate
 from planner_bridge.planning.solve import check_planner, solve
 from pnm.core.logic.expressions import ValueOf
-from pnm.errors import InputError
+from pnm.errors import InputError, installation
 from tests.support.pddl.problems import hard, matches, rooms, tanks
 from tests.support.processes import LIMIT, until, working_in
 
@@ -124,7 +124,7 @@ def test_nobody_waits_for_an_engine_to_be_looked_for() -> None:
 
 def test_a_package_that_is_not_installed_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sys, "path", [])
-    with pytest.raises(InputError, match=r"aries is not installed: pip install up-aries, or 'petri-net-machines\[planners\]'"):
+    with pytest.raises(InputError, match=re.escape(f"aries is not installed: pip install up-aries, or {installation('planners')}")):
         require_installed("aries")
     with pytest.raises(InputError, match="aries is not installed"):
         check_planner("race:kairos,aries")

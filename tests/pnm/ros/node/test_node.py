@@ -12,7 +12,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from pnm.errors import InputError, Position, RosError
+from pnm.errors import InputError, Position, RosError, installation
 from pnm.ros.node.graph import server_name
 from pnm.ros.node.ros_thread import RosThread
 from tests.support.processes import LIMIT
@@ -104,5 +104,5 @@ except RosError as error:
 
 def test_without_ros_the_modules_import_and_the_thread_says_what_to_install():
     ended = subprocess.run([sys.executable, "-c", WITHOUT], capture_output=True, text=True, timeout=LIMIT, check=True)
-    assert "pip install 'petri-net-machines[ros2]'" in ended.stdout
+    assert f"{installation('ros2')}" in ended.stdout
     assert "source a ROS 2 installation" in ended.stdout
