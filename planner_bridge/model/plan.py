@@ -120,6 +120,13 @@ class Policy(Protocol):
     def is_proved(self) -> bool:
         """Whether it is proved to reach the goal."""
 
+    @property
+    def policies(self) -> tuple[Policy, ...]:
+        """Those that may be followed, the best one first: several, if it becomes better while robots work."""
+
+    def follow(self, policy: Any, /) -> None:
+        """Note which one of them is followed."""
+
     def stretch(self, state: KnowledgeBase, /) -> Plan | None:
         """Return what to do from a state up to the next action with several outcomes, or to the goal; None if it says nothing of it."""
 

@@ -106,11 +106,12 @@ def solve(
         return PlanningResult(PlanningStatus.UNSUPPORTED, message=message, planner=planner)
     from planner_bridge.model.determinization import determinization  # here, because most actions have one outcome
 
-    note, until, each = "", time.monotonic() + timeout, determinization(problem)
-    those = rates and replace(rates, bindings=each.bindings(rates.bindings), learned=each.rates(rates.learned))
+    note, until = "", time.monotonic() + timeout
 
     def chosen() -> PlanningResult:
         """Search for a plan as if outcomes could be chosen."""
+        each = determinization(problem)
+        those = rates and replace(rates, bindings=each.bindings(rates.bindings), learned=each.rates(rates.learned))
         found = _searched(each.problem, planner, max(0.0, until - time.monotonic()), improve, cancel, executor, those)
         return found if found.plan is None else replace(found, plan=each.plan(found.plan))
 

@@ -44,7 +44,6 @@ from planner_bridge.tasks.result import (
     code_of_planning,
     join_reasons,
     notes_of,
-    policies_of,
     restored_log,
     retry_reason,
 )
@@ -397,7 +396,8 @@ class GoalLoop:
         """Decide what follows the run. A failure makes nothing needless, but facts that have changed may."""
         context, progress, now, world = self._context, execution.progress, self._monitor.now(), snapshot(self._context.present)
         has_failed, limits, unusable = execution.is_over or execution.result.failures, context.settings.limits, context.unusable(history)
-        set_off_by, better, policies = execution.set_off_by, self._search.better_than(progress), policies_of(self._control.policy)
+        set_off_by, better = execution.set_off_by, self._search.better_than(progress)
+        policies = self._control.policy.policies if self._control.policy else ()
         is_stretch = execution.is_over and execution.result.goal and progress.plan.goal == TRUE != now.goal
 
         policy: Policy | None = None

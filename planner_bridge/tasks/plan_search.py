@@ -34,7 +34,7 @@ from planner_bridge.tasks.context import Conflict, TaskContext
 from planner_bridge.tasks.control import TaskEnded
 from planner_bridge.tasks.plan_execution import PlanExecution
 from planner_bridge.tasks.replanning import History, Progress
-from planner_bridge.tasks.result import PolicyNote, note_followed, notes_of, policies_of
+from planner_bridge.tasks.result import PolicyNote, notes_of
 from planner_bridge.tasks.task import Task
 from pnm.clock import in_own_thread, is_virtual
 from pnm.core.execution.run_view import RunView
@@ -335,7 +335,8 @@ class PlanSearch:
 
     def note_policy(self, policy: Policy | None, *, is_new: bool = False) -> None:
         """Note the policy that the next calls come from, unless it is the one that was noted last: a better one may have been found."""
-        note_followed(self._control.policy, policy)
+        if self._control.policy is not None:
+            self._control.policy.follow(policy)
         if is_new or policy not in (None, self._noted):
             self._noted = policy
             self._context.note(PolicyNote.of(policy))
@@ -374,7 +375,7 @@ class PlanSearch:
             self._has_found, self._is_best = True, result.plan.is_best
             if (result.policy or self._control.policy) is not None:
                 self._control.policy = result.policy
-                self.note_policy(next(iter(policies_of(result.policy)), None), is_new=True)
+                self.note_policy(next(iter(result.policy.policies), None) if result.policy else None, is_new=True)
             needed = _needed(now, result.plan, going_on)
             conflicts = context.scheduler.conflicts(context.task, needed)
             if weighs and any(not conflict.yields for conflict in conflicts):

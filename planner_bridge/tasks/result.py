@@ -337,25 +337,6 @@ class GoalNote:
     helped: int = 0
 
 
-def policies_of(policy: Policy | None) -> tuple[Policy, ...]:
-    """Return the policies found so far, the best one first, of one that becomes better while robots work; else the policy itself."""
-    if policy is None:
-        return ()
-    from planner_bridge.planning.policies.policy import Thinking  # here, because most actions have one outcome
-
-    return policy.policies if isinstance(policy, Thinking) else (policy,)
-
-
-def note_followed(policy: Policy | None, of: Policy | None) -> None:
-    """Note which of the policies found so far is followed; see `Thinking.follow`."""
-    if policy is None or of is None:
-        return
-    from planner_bridge.planning.policies.policy import Policy as Found, Thinking, WithLuck  # here, as above
-
-    if isinstance(policy, Thinking) and isinstance(of, Found | WithLuck):
-        policy.follow(of)
-
-
 @dataclass(frozen=True, slots=True)
 class PolicyNote:
     """The policy that the last plan is the beginning of; without entries if there is none.

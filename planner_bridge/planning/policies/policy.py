@@ -12,7 +12,7 @@ from functools import cached_property, partial, reduce
 from itertools import chain, product, takewhile
 from math import inf, isfinite
 from types import MappingProxyType
-from typing import Final, NamedTuple
+from typing import Final, NamedTuple, Self
 
 from planner_bridge.model.grounding import ground_step, initial_knowledge, modelled_duration
 from planner_bridge.model.plan import GAP, CancelToken, Plan, PlanStep
@@ -31,6 +31,7 @@ from pnm.core.knowledge_base import KnowledgeBase, statement_text
 from pnm.core.logic.conditions import Compare, evaluate
 from pnm.core.logic.effects import Effects, changes
 from pnm.core.logic.expressions import Constant, Fluent, State, ValueOf
+from pnm.core.machine.plan_graph import GroundAction
 
 _CHANCE: Final = 0.5
 """Seconds for a better chance before the first action."""
@@ -81,8 +82,20 @@ class PolicyCall(NamedTuple):
     """The state after each outcome."""
 
 
+class _Alone:
+    """A policy that no better one takes the place of."""
+
+    @property
+    def policies(self) -> tuple[Self, ...]:
+        """The policy itself."""
+        return (self,)
+
+    def follow(self, policy: object) -> None:
+        """Note nothing: there is but this one."""
+
+
 @dataclass(frozen=True, eq=False)
-class Policy:
+class Policy(_Alone):
     """What to do wherever the outcomes of actions may lead: of the entries that fit a state, the first one counts."""
 
     problem: Problem
@@ -175,8 +188,7 @@ class Policy:
             entry = self.entries[place]
             duration = modelled_duration(domain.actions[entry.action], entry.arguments, state)
             action = ground_step(domain, entry.action, entry.arguments, duration, "", self.problem.members)
-            begun = _after(action.start_effects, state)
-            ways = {way.name: _after(way.effects, begun) for way in action.outcomes} or {"": _after(action.end_effects, begun)}
+            ways = _ways(action, _after(action.start_effects, state))
             outcome = min(ways, key=lambda way: self._left(ways[way])) if action.outcomes else ""
             yield PolicyCall(place, entry, duration, outcome, ways)
             if action.outcomes and not is_whole:
@@ -219,8 +231,13 @@ def _after(effects: Effects, before: KnowledgeBase) -> KnowledgeBase:
     return state
 
 
+def _ways(action: GroundAction, begun: KnowledgeBase) -> dict[str, KnowledgeBase]:
+    """Return the states that the outcomes of an action lead to, by their names; of one with a single outcome, by no name."""
+    return {way.name: _after(way.effects, begun) for way in action.outcomes} or {"": _after(action.end_effects, begun)}
+
+
 @dataclass(frozen=True, eq=False)
-class WithLuck:
+class WithLuck(_Alone):
     """A plan that is followed like a policy, wherever a rest of it leads to the goal if outcomes are as it expects."""
 
     problem: Problem
@@ -241,7 +258,10 @@ class WithLuck:
                 begun = _after(ground.start_effects, state)
                 if not all(evaluate(condition, begun) is True for condition in (ground.invariant, ground.end_condition)):
                     return False
-                state = _after(next((way.effects for way in ground.outcomes if way.name == step.outcome), ground.end_effects), begun)
+                ways = _ways(ground, begun)
+                if (after := ways.get(step.outcome, ways.get(""))) is None:
+                    return False
+                state = after
             return evaluate(self.problem.goal, state) is True
 
         for first in reversed(range(len(steps))):  # the shortest rest: with luck, the next one is shorter
