@@ -159,8 +159,10 @@ def _with_policy(
         return time.monotonic() > until or (cancel is not None and cancel.is_set())
 
     search = PolicySearch(problem, seconds, rates.outcomes if rates else None, last, is_over)
-    thinking, found = Thinking(search, timeout, cancel, at_work), chosen() if search.is_hard else None
-    policy = thinking.policy if found and found.plan else thinking.wait(until - time.monotonic(), improve, worth)
+    found = chosen() if search.is_hard or search.task.measure != "calls" else None
+    search.plan = found.plan if found else None
+    thinking = Thinking(search, timeout, cancel, at_work)
+    policy = thinking.policy if search.is_hard and found and found.plan else thinking.wait(until - time.monotonic(), improve, worth)
     plan = None if policy is None else policy.plan(initial_knowledge(problem))
     if plan is None:
         found = found or chosen()

@@ -16,7 +16,7 @@ import kairos
 
 from planner_bridge.model.determinization import determinized_domain
 from planner_bridge.model.guards import guarded, unused_name
-from planner_bridge.model.plan import SpelledNames
+from planner_bridge.model.plan import Plan, SpelledNames
 from planner_bridge.model.problem import Problem
 from planner_bridge.pddl.writer import write_domain, write_problem
 from planner_bridge.planning.policies.task import ANY, PartialState, PolicyAction, PolicyOutcome, PolicyTask, places
@@ -43,9 +43,13 @@ class OutOfTime(Exception):
 
 
 class OutcomePlanner:
-    """What Kairos is asked for: a plan for the case that every outcome can be chosen. Its text and what found plans are mutable state."""
+    """What Kairos is asked for: a plan for the case that every outcome can be chosen. Its text and what found plans are mutable state.
 
-    def __init__(self, problem: Problem, task: PolicyTask) -> None:
+    Args:
+        known: a plan whose rest is the answer for the states on its way.
+    """
+
+    def __init__(self, problem: Problem, task: PolicyTask, known: Plan | None = None) -> None:
         self._task, self._planner = task, kairos.Planner()  # type: ignore[no-untyped-call]
         self.is_patient = False
         """Whether all ways of searching get their seconds, however long others took."""
@@ -69,6 +73,24 @@ class OutcomePlanner:
         self._copies: dict[str, Step] = {}
         self._guarding = ""
         self._longest = 0.0
+        self._known: list[tuple[int, Step]] = []
+        self.luck: float = 1.0 if known is not None else 0.0
+        """The chance that all outcomes are as the known plan expects them, of those that change anything; 0 without one."""
+        at = task.initial
+        for step in known.steps if known is not None else ():
+            action, number = self._actions.get((step.action, step.arguments)), numbers.get((step.action, step.outcome), 0)
+            if action is None or action.condition_in(at) is None:  # where numbers are rounded, it may not lead to the goal
+                self._known, self.luck = [], 0.0
+                break
+            self._known.append((at, (action, number)))
+            before, at = at, action.outcomes[number].after(at)
+            self.luck *= action.outcomes[number].chance / (sum(way.chance for way in action.outcomes if way.after(before) != before) or 1.0)
+
+    def _rest(self, state: int, forbidden: Mapping[PolicyAction, Sequence[PartialState]]) -> list[Step]:
+        """Return the rest of the known plan from a state on; nothing if it is not on its way, or the rest is forbidden."""
+        place = next((place for place, (at, _) in enumerate(self._known) if at == state), len(self._known))
+        rest = self._known[place:]
+        return [] if any(part.holds(at) for at, (action, _) in rest for part in forbidden.get(action, ())) else [step for _, step in rest]
 
     def plan(
         self, state: int, forbidden: Mapping[PolicyAction, Sequence[PartialState]], until: float, ways: Sequence[tuple[str, float]] = WAYS
@@ -78,6 +100,8 @@ class OutcomePlanner:
         Raises:
             OutOfTime: none were found in time, or by this time on the clock of `time.monotonic`.
         """
+        if rest := self._rest(state, forbidden):
+            return rest
         domain = self._domain_for({action: tuple(parts) for action, parts in forbidden.items() if parts})
         numbers = (f"(= {fluent_text(scale.fluent)} {Constant(scale.value(state))})" for scale in self._task.scales)
         facts = " ".join((*map(fluent_text, self._task.named(state)), *numbers))

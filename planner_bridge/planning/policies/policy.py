@@ -39,6 +39,10 @@ _CERTAIN: Final = 0.6
 """Part of the time in which a policy is looked for that reaches the goal for certain."""
 _AGAIN: Final = 0.1
 """The same where the search before was in vain."""
+_SOON: Final = 0.1
+"""The same where there is a plan for robots that wait, before it is looked whether a policy is likely enough to begin with."""
+_LIKELY: Final = 0.95
+"""A chance of the goal for which that is so."""
 
 
 class PolicyEntry(NamedTuple):
@@ -404,6 +408,8 @@ class PolicySearch:
         before: PolicySearch | None = None,
         is_over: Callable[[], bool] = lambda: False,
     ) -> None:
+        self.plan: Plan | None = None
+        """A good one for the case that outcomes can be chosen, if there is one before the search begins."""
         known = task_from(before.task, before.problem, problem) if before else None
         self.problem: Problem = problem
         self.task: PolicyTask = known or policy_task(problem, seconds, chances, is_over)
@@ -426,21 +432,30 @@ class PolicySearch:
             at_work: returns the seconds for which a policy that takes so many, and is certain, is improved.
         """
         problem, task, began = self.problem, self.task, time.monotonic()
-        until, kairos = began + timeout, OutcomePlanner(problem, task)
-        before, share = self.certain, _AGAIN if self.is_hard else _CERTAIN
-        search = Search(task, kairos, began + timeout * share, cancel)
+        until, kairos, before = began + timeout, OutcomePlanner(problem, task, self.plan), self.certain
+        search = Search(task, kairos, until, cancel)
         if before is not None:
             search.take_over(before)
         self.certain = search
-        with suppress(Interrupted):
-            if (yield from _certain(problem, search, until, at_work)):
-                return
-        if all(scale.is_exact for scale in task.scales):
-            chances = Search(task, kairos, until, cancel)
-            chances.entries += search.entries
+        stages = [(_AGAIN, 1.0, kairos.luck)] if self.is_hard else [(_CERTAIN, 1.0, kairos.luck)]
+        if self.plan is not None and not self.is_hard:
+            stages.insert(0, (_SOON, 2 * _SOON, _LIKELY))
+        best = 0.0, -inf
+        for share, end, least in stages:
+            search.until = began + timeout * share
             with suppress(Interrupted):
-                for _ in take_chances(chances, until):
-                    yield _policy(problem, chances)
+                if (yield from _certain(problem, search, until, at_work)):
+                    return
+            if all(scale.is_exact for scale in task.scales):
+                chances = Search(task, kairos, began + timeout * end, cancel)
+                chances.entries += search.entries
+                with suppress(Interrupted):
+                    for _ in take_chances(chances, chances.until):
+                        policy = _policy(problem, chances)
+                        value = policy.chance, -policy.entries[0].expected
+                        if policy.chance >= least and value > best:
+                            best = value
+                            yield policy
         if not search.dead.is_certain:  # a plan that was not found in time may be found in more
             kairos.is_patient, known = True, search.entries
             self.certain = search = Search(task, kairos, until, cancel)
