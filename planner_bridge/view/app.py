@@ -35,6 +35,7 @@ from planner_bridge.view.follow import Feed, Reader
 from planner_bridge.view.serving import MAX_TEXT, Controlled, Reply
 from planner_bridge.view.story import Followed, Story, Thing, View, detail, named, view_of
 from pnm.core.knowledge_base import KnowledgeBase
+from pnm.core.logic.conditions import TRUE, Condition, conjuncts, evaluate, names
 from pnm.core.logic.expressions import fluent_text
 from pnm.core.machine.plan_graph import PlanGraph
 from pnm.core.pictures.plan_picture import held, laid_out, words_of
@@ -97,7 +98,7 @@ class ViewApp:
             Route("/state", partial(self._told, tell=lambda story: self._frame(None, view_of(story)))),
             Route("/call", partial(self._told_of_call, tell=detail)),
             Route("/why", self._why),
-            Route("/plan", partial(self._of_run, tell=lambda _, run: run.source.plan, response=lambda plan: ShownResponse(drawn(plan)))),
+            Route("/plan", partial(self._of_run, tell=lambda _, run: (run.source.plan, run.state), response=lambda of: ShownResponse(drawn(*of)))),
             Route(
                 "/policy", partial(self._of_run, tell=Followed.by, response=lambda of: Response(of.picture(), 200, None, "image/svg+xml"))
             ),
@@ -267,17 +268,35 @@ def day_of(place: Place) -> list[dict[str, Any]]:
     return [{**task, "seconds": (task["ended"] or task["accepted"]) - task["accepted"]} for task in told]
 
 
-def drawn(plan: PlanGraph) -> list[dict[str, Any]]:
+def drawn(plan: PlanGraph, state: KnowledgeBase) -> list[dict[str, Any]]:
     """Return where the steps of a plan stand, and their arrows, as JSON: first those of the plan, then what its steps hold."""
-    told = []
+    told, reaching = [], goal_calls(plan, state)
     for name, flow in [("", plan.flow), *((name, flow) for step in plan.every_step for name, flow in held(step))]:
         layout = laid_out(flow, sys.maxsize)
         cells = [
-            {"step": index, "column": cell.column, "row": cell.row, **words_of(cell.step)._asdict()} for index, cell in layout.cells.items()
+            {"step": index, "column": cell.column, "row": cell.row, "reaches_goal": index in reaching, **words_of(cell.step)._asdict()}
+            for index, cell in layout.cells.items()
         ]
         arrows = [{**asdict(arrow), "protects": [*map(fluent_text, arrow.protects)]} for arrow in layout.arrows]
         told.append({"name": name, "cells": cells, "arrows": arrows})
     return told
+
+
+def goal_calls(plan: PlanGraph, state: KnowledgeBase) -> frozenset[int]:
+    """Return the calls that reach the goal from a state if all goes as planned: for each part of it the last that makes it true."""
+    from planner_bridge.model.progression import Progression, snapshot  # here, because it takes its time to import
+
+    walk = Progression(snapshot(state), unmet=lambda *_: True)
+    read = {part: plan.rules.base(names(part)) for part in conjuncts(plan.goal) if part is not TRUE}
+    was, reaching = {part: evaluate(part, walk.state) is True for part in read}, dict[Condition, int]()
+    for event in plan.order if read else ():
+        changed = {fluent[0] for fluent in walk.advance([(event, plan.calls[event.call].action)])}
+        for part in (part for part, on in read.items() if not changed.isdisjoint(on)):
+            is_so = evaluate(part, walk.state) is True
+            if is_so and not was[part]:
+                reaching[part] = event.call
+            was[part] = is_so
+    return frozenset(call for part, call in reaching.items() if was[part])
 
 
 def _number(text: str) -> int | None:

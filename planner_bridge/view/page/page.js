@@ -132,7 +132,7 @@ function choose(what) {
       const run = what.key.split("/")[0];
       const id = taskOf(model, run);
       if (id) Object.assign(ui, { task: id, pinned: true, day: null });
-      ui.run = run;
+      ui.run = what.within ?? run; // a call that a plan has dropped is shown beside that plan
     }
   }
   draw("all");
@@ -169,7 +169,7 @@ function drawn() {
   if (has("requests", "calls", "runs", "tasks", "time") && !ui.day) showTimeline(model, ui.task, now, call, (key) => choose({ kind: "call", key }));
   if (has("runs", "tasks", "calls") && !ui.day) {
     const own = model.tasks.get(ui.task)?.runs.filter((one) => model.runs.get(one)?.is_own) ?? [];
-    showPlan(model, run, numberOf(model, own, run), callsOf(model, run), call, (key) => choose(model.calls.has(key) ? { kind: "call", key } : { kind: "task", key: ui.task }), () => draw(["calls"]));
+    showPlan(model, run, numberOf(model, own, run), callsOf(model, run), call, (key, within) => choose(model.calls.has(key) ? { kind: "call", key, within } : { kind: "task", key: ui.task }), () => draw(["calls"]));
     showPolicy(model, run, ui.task ? wayOf(model, ui.task, model.tasks.get(ui.task)) : []);
   }
   if (has("calls", "requests", "troubles", "runs", "tasks", "hands", "questions")) showChosen(model, what, isNow);

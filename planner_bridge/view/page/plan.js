@@ -1,13 +1,13 @@
 // The plan of a run: cards in the order of time, and links that carry the fact that is waited for; and the policy that it is a part of.
 
-import { isOther } from "./model.js";
-import { actionOf, el, fitted, inWords, look, mark, svg, widthOf } from "./words.js";
+import { callsOf, isOther, taskOf } from "./model.js";
+import { DONE, actionOf, el, fitted, icon, inWords, look, mark, svg, widthOf } from "./words.js";
 
 const CARD = [128, 44], GAP = 88, ROW = 72, HEAD = 24, EDGE = 6;
 const $ = (id) => document.getElementById(id);
 let told = null; // the layout of the plan that is shown: {run, sections}
 let asked = ""; // the run whose layout is fetched
-let boxes = new Map(); // the cards that are there, by step
+let boxes = new Map(); // the cards that are there, by step; those of dropped calls by the key of the call
 let shown = ""; // what the cards were drawn for
 let range = [0, 0, 0, 0]; // the part that is drawn: from which column to which, and from which height to which
 let view = { left: 0, top: 0, width: 0, height: 0 }; // the part that is seen; to ask while a frame is drawn has the browser lay out the page
@@ -94,14 +94,29 @@ export function showPlan(model, run, number, calls, chosen, choose, redraw) {
   }
   keepInSight(states);
   const added = new Set((isOther(model.runs.get(run)) && model.runs.get(run).replan.added) || []);
-  if (shown !== run || isOutside()) {
+  const dropped = droppedOf(model, run);
+  const looks = [run, ...dropped.map(([key]) => key)].join(" ");
+  if (shown !== looks || isOutside()) {
     const [first, last, top, bottom] = sight();
     range = [first - 3, last + 3, top - 300, Math.max(bottom, top + 320) + 300];
-    shown = run;
-    draw(run, choose, added);
+    shown = looks;
+    draw(run, choose, added, dropped);
   }
-  for (const [step, box] of boxes) showState(box, step, states.get(step), `${run}/${step}` === chosen);
+  const gone = new Map(dropped);
+  for (const [step, { box, cell }] of boxes) showState(box, cell, gone.get(step) ?? states.get(step), [`${run}/${step}`, step].includes(chosen));
   for (const link of place.querySelectorAll("[data-from]")) link.classList.toggle("on", states.get(Number(link.dataset.from))?.state === "running");
+}
+
+// The calls that a new plan has dropped, of the plan before it, until something of the new one is done.
+function droppedOf(model, id) {
+  const run = model.runs.get(id);
+  if (!isOther(run) || !run.replan.dropped.length || callsOf(model, id).some(([, call]) => call.ended > run.time)) return [];
+  const own = (model.tasks.get(taskOf(model, id))?.runs ?? []).filter((one) => model.runs.get(one)?.is_own);
+  const left = callsOf(model, own[own.indexOf(id) - 1]).filter(([, call]) => !DONE.has(call.state));
+  return run.replan.dropped.flatMap((text) => {
+    const at = left.findIndex(([, call]) => call.action === text);
+    return at < 0 ? [] : left.splice(at, 1);
+  }).sort(([, a], [, b]) => a.planned - b.planned);
 }
 
 // Follows what runs, unless somebody looks elsewhere.
@@ -116,9 +131,10 @@ function keepInSight(states) {
   requestAnimationFrame(() => (place.scrollLeft = left - CARD[0] - GAP)); // in the next frame, when there is room, and all is laid out
 }
 
-function draw(run, choose, added) {
+function draw(run, choose, added, dropped) {
   const isNear = (cell) => cell.column >= range[0] && cell.column <= range[1] && cell.y >= range[2] - ROW && cell.y <= range[3];
-  const focused = document.activeElement?.dataset?.step;
+  const focused = document.activeElement?.closest?.("#picture [role=button]");
+  const had = [...boxes].find(([, each]) => each.box === focused)?.[0];
   boxes = new Map();
   const links = told.links.filter((link) => {
     const [a, b] = [told.cells.get(link.before), told.cells.get(link.after)];
@@ -126,10 +142,14 @@ function draw(run, choose, added) {
   });
   const drawn = links.map(linkOf);
   const cards = [...told.cells.values()].filter(isNear).sort((a, b) => a.column - b.column || a.row - b.row).map((cell) => cardOf(cell, run, choose, added));
-  const picture = svg("svg", { class: "g", width: told.width, height: told.height, viewBox: `0 0 ${told.width} ${told.height}`, role: "group", "data-run": run },
-    ...told.titles.map(({ name, y }) => svg("text", { class: "td", x: EDGE, y: y + 14 }, name)), ...drawn.map((each) => each.line), ...drawn.flatMap((each) => each.text), ...cards);
+  const below = told.height - 8 + HEAD;
+  const gone = dropped.map(([key, call], at) => boxOf({ x: EDGE + at * (CARD[0] + 24), y: below, name: call.action.split("(")[0], whole: `dropped: ${call.action}` }, key, "dropped", "drop", () => choose(key, run)));
+  const titles = [...told.titles, ...(gone.length ? [{ name: "dropped from the plan before", y: below - 28 }] : [])];
+  const [wide, high] = [Math.max(told.width, 2 * EDGE + gone.length * (CARD[0] + 24) - 24), told.height + (gone.length ? HEAD + 8 + CARD[1] : 0)];
+  const picture = svg("svg", { class: "g", width: wide, height: high, viewBox: `0 0 ${wide} ${high}`, role: "group", "data-run": run },
+    ...titles.map(({ name, y }) => svg("text", { class: "td", x: EDGE, y: y + 14 }, name)), ...drawn.map((each) => each.line), ...drawn.flatMap((each) => each.text), ...cards, ...gone);
   place.replaceChildren(picture);
-  if (focused !== undefined) boxes.get(Number(focused))?.focus({ preventScroll: true });
+  boxes.get(had)?.box.focus({ preventScroll: true });
 }
 
 function linkOf(link) {
@@ -160,24 +180,27 @@ function factOf(link, x1, y1, y2, isDetour = false) {
 
 function cardOf(cell, run, choose, added) {
   const isAdded = added.has(cell.whole.split(", planned at")[0].replace(/#\d+$/, "")) || added.has(`${cell.name}(${cell.what})`);
-  const box = svg("g", { "data-step": cell.step, tabindex: 0, role: "button", class: isAdded ? "added" : "" }, svg("title", {}, cell.whole),
+  return boxOf(cell, cell.step, isAdded ? "added" : "", isAdded ? "add" : "", () => choose(`${run}/${cell.step}`));
+}
+
+function boxOf(cell, key, looks, sign, act) {
+  const box = svg("g", { "data-step": cell.step, tabindex: 0, role: "button", class: looks }, svg("title", {}, cell.reaches_goal ? `${cell.whole}\nreaches the goal` : cell.whole),
     svg("rect", { class: "ring", x: cell.x - 3.5, y: cell.y - 3.5, width: CARD[0] + 7, height: CARD[1] + 7, rx: 9 }),
     svg("rect", { class: "card", x: cell.x + 0.5, y: cell.y + 0.5, width: CARD[0] - 1, height: CARD[1] - 1, rx: 6 }), svg("g", { class: "badge" }));
-  if (isAdded) box.append(svg("rect", { class: "badge-cut", x: cell.x + CARD[0] - 22, y: cell.y - 7, width: 18, height: 14, rx: 7 }), mark("add", cell.x + CARD[0] - 19, cell.y - 6, "on-cut"));
-  const act = () => choose(`${run}/${cell.step}`);
+  if (cell.reaches_goal) box.append(mark("flag", cell.x + CARD[0] - 18, cell.y + 26, "dim"));
+  if (sign) box.append(svg("rect", { class: sign === "add" ? "badge-cut" : "badge-bad", x: cell.x + CARD[0] - 22, y: cell.y - 7, width: 18, height: 14, rx: 7 }), mark(sign, cell.x + CARD[0] - 19, cell.y - 6, sign === "add" ? "on-cut" : "on-bad"));
   box.addEventListener("click", act);
   box.addEventListener("keydown", (key) => {
     if (key.key !== "Enter" && key.key !== " ") return;
     key.preventDefault();
     act();
   });
-  boxes.set(cell.step, box);
+  boxes.set(key, { box, cell });
   return box;
 }
 
-function showState(box, step, call, isChosen) {
+function showState(box, cell, call, isChosen) {
   box.classList.toggle("chosen", isChosen);
-  const cell = told.cells.get(step);
   const looks = call ? `${call.state} ${call.attempts} ${call.outcome}` : "step";
   if (box.dataset.looks === looks) return;
   box.dataset.looks = looks;
@@ -190,7 +213,7 @@ function showState(box, step, call, isChosen) {
   const declared = call && !["waiting", word, call.state, "running", "aborted"].includes(call.outcome) && call.state === "succeeded" ? call.outcome : "";
   const second = again + [isOwn ? who : "", declared || objects.slice(-2).join(" → ")].filter(Boolean).join(" · ");
   box.querySelector(".badge").replaceChildren(mark(sign, cell.x + 8, cell.y + 9, colour),
-    svg("text", { class: "tn", x: cell.x + 25, y: cell.y + 19 }, fitted(cell.name.replaceAll("_", " "), CARD[0] - 40, true)), svg("text", { class: "td", x: cell.x + 8, y: cell.y + 36 }, fitted(second, CARD[0] - 14)));
+    svg("text", { class: "tn", x: cell.x + 25, y: cell.y + 19 }, fitted(cell.name.replaceAll("_", " "), CARD[0] - 40, true)), svg("text", { class: "td", x: cell.x + 8, y: cell.y + 36 }, fitted(second, CARD[0] - (cell.reaches_goal ? 30 : 14))));
   box.classList.toggle("glow", call?.state === "running");
 }
 
@@ -200,7 +223,7 @@ function showChanges(replan) {
   if ($("changes").dataset.looks === looks) return;
   $("changes").dataset.looks = looks;
   const part = (colour, sign, word, calls) => (calls.length ? el("span", { class: `pill ${colour}`, title: calls.join("\n") }, el("span", { "aria-hidden": "true" }, sign), `${calls.length} ${word}`) : "");
-  $("changes").replaceChildren(...(replan ? [part("dim", "=", "kept", replan.kept), part("bad", "−", "dropped", replan.dropped), part("cut", "+", "added", replan.added)].filter(Boolean) : [el("small", { class: "np" }, "links carry the fact that is waited for")]));
+  $("changes").replaceChildren(...(replan ? [part("dim", "=", "kept", replan.kept), part("bad", "−", "dropped", replan.dropped), part("cut", "+", "added", replan.added)].filter(Boolean) : [el("small", { class: "np" }, "links carry the fact that is waited for"), el("small", { class: "row tight np" }, icon("flag"), "reaches the goal")]));
 }
 
 // --- the policy ---

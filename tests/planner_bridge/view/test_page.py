@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
+from itertools import takewhile
 from pathlib import Path
 
 import pytest
@@ -101,6 +102,30 @@ def test_a_failure_can_be_read_and_what_followed(page: Page, delivery: Path) -> 
         counts = [int(str(mark.get_attribute("data-count"))) for mark in page.locator("#marks [data-mark]").all()]
         assert sum(counts) == 7, "every mark is there, or counted where it has no room"
         expect(page.locator("#marks [data-mark=end]")).to_have_count(1)
+        page.close()
+
+
+def test_a_dropped_call_stays_until_something_of_the_new_plan_is_done_and_flags_show_what_reaches_the_goal(page: Page, delivery: Path) -> None:
+    view = Reader(delivery).newest()
+    changed = next(run["time"] for run in view.runs.values() if run["replan"] and run["replan"]["dropped"])
+    marks = [int(number) for number, event in view.events.items() if event["mark"]]
+    record = next(number for number in marks if view.events[str(number)]["mark"] == "replan" and view.events[str(number)]["time"] == changed)
+    with page_of(delivery) as url:
+        page.goto(url)
+        gone = page.locator("#picture .dropped")
+        flagged = page.locator("#picture [data-step]:has(use[href='#i-flag'])")
+        expect(flagged).to_have_count(1)
+        expect(flagged).to_have_attribute("aria-label", re.compile(r"^unload\(r1, parcel2, kitchen\): "))
+        expect(gone).to_have_count(0)
+        for number in takewhile(lambda number: number >= record, reversed(marks)):
+            page.keyboard.press("Shift+ArrowLeft")
+            shows(page, number)
+        expect(gone).to_have_count(1)
+        expect(gone).to_have_attribute("aria-label", re.compile(f"^{re.escape(FAILING)}: "))
+        gone.click()
+        expect(page.locator("#detail .steps")).to_be_visible()
+        expect(page.locator("#detail .sub")).to_contain_text("kitchen")
+        expect(page.locator("#plan-title")).to_have_text("Plan 2")
         page.close()
 
 
