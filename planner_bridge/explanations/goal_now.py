@@ -20,29 +20,39 @@ from planner_bridge.explanations.no_plan import SECONDS, AnswerLimit, why_no_pla
 from planner_bridge.model.grounding import problem_now
 from planner_bridge.model.plan import PlanningResult, PlanningStatus
 from planner_bridge.model.problem import Problem
+from planner_bridge.model.rates import NO_RATES, Rates
 from planner_bridge.planning.reachability import GoalLiteral, Reachability, TooLarge, literal_of
 from pnm.core.knowledge_base import KnowledgeBase
 from pnm.core.logic.conditions import Compare, Condition, parts_of
 from pnm.core.logic.expressions import NOTHING, Environment, Fluent, Value, choices, fluent_text
+from pnm.core.machine.bindings import NO_BINDINGS, Bindings
 from pnm.errors import counted, listed
 
 
-def packed(problem: Problem) -> str:
-    """Return a problem as a text for another process of this program: PDDL could not say what is unknown."""
-    return base64.b64encode(zlib.compress(pickle.dumps(problem))).decode()
+def packed(problem: Problem, bindings: Bindings = NO_BINDINGS) -> str:
+    """Return a problem and the bindings of its actions as a text for another process of this program: PDDL lacks what is unknown."""
+    return base64.b64encode(zlib.compress(pickle.dumps((problem, bindings)))).decode()
 
 
-def unpacked(text: str) -> Problem:
-    """Return the problem of a text that a process which is trusted has made."""
-    problem = pickle.loads(zlib.decompress(base64.b64decode(text)))
+def unpacked(text: str) -> tuple[Problem, Bindings]:
+    """Return the problem and the bindings of a text that a process which is trusted has made."""
+    problem, bindings = pickle.loads(zlib.decompress(base64.b64decode(text)))
     assert isinstance(problem, Problem)
-    return problem
+    assert isinstance(bindings, Bindings)
+    return problem, bindings
 
 
 def answered(text: str, world: KnowledgeBase) -> tuple[Answer, ...]:
     """Return the answers about the goal of a problem that was packed, from a world."""
-    problem, limit = problem_now(unpacked(text), world), AnswerLimit.of(SECONDS)
+    problem, limit = problem_now(unpacked(text)[0], world), AnswerLimit.of(SECONDS)
     return why_goal(problem, limit.first_plan(problem), limit)
+
+
+def first_plan(text: str, world: KnowledgeBase, learned: Rates = NO_RATES) -> tuple[Problem, Bindings, PlanningResult]:
+    """Return a problem that was packed, as it is from a world, with its bindings, and the first plan that is found for it soon."""
+    problem, bindings = unpacked(text)
+    problem = problem_now(problem, world)
+    return problem, bindings, AnswerLimit.of(SECONDS, bindings, learned).first_plan(problem)
 
 
 def why_goal(problem: Problem, found: PlanningResult, limit: AnswerLimit) -> tuple[Answer, ...]:

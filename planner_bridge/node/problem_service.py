@@ -179,10 +179,10 @@ class ServedProblem:
         await asyncio.to_thread(self.read_goal, goal)
 
     async def pack(self, goal: str, /) -> str:
-        """Return the problem as the world is now, with this goal, for another process."""
+        """Return the problem as the world is now, with this goal, and the bindings, for another process."""
         async with self._turn:
-            world = self._now()
-            return await asyncio.to_thread(lambda: packed(replace(world.current_problem(), goal=world.read_goal(goal))))
+            world, bindings = self._now(), self._settings.bindings
+            return await asyncio.to_thread(lambda: packed(replace(world.current_problem(), goal=world.read_goal(goal)), bindings))
 
     async def update(self, add: Sequence[str], remove: Sequence[str], forget: Sequence[str], /) -> int:
         """Record all changes or none; return how many facts changed."""

@@ -41,6 +41,7 @@ from pnm.core.machine.plan_graph import PlanGraph
 from pnm.core.pictures.plan_picture import held, laid_out, words_of
 from pnm.errors import InputError, PnmError, printable
 from pnm.files.database.place import Place
+from pnm.tasks import percent
 
 if TYPE_CHECKING:
     from planner_bridge.view.metrics import Metrics
@@ -83,7 +84,7 @@ T = TypeVar("T")
 class ViewApp:
     """The application."""
 
-    def __init__(self, place: Place, feed: Feed, past: Reader[Story], control: Control) -> None:
+    def __init__(self, place: Place, feed: Feed, past: Reader[Story], control: Control, known: KnownRobots = NOTHING_KNOWN) -> None:
         self._place = place
         self._feed = feed
         self._past = past
@@ -98,7 +99,10 @@ class ViewApp:
             Route("/state", partial(self._told, tell=lambda story: self._frame(None, view_of(story)))),
             Route("/call", partial(self._told_of_call, tell=detail)),
             Route("/why", self._why),
-            Route("/plan", partial(self._of_run, tell=lambda _, run: (run.source.plan, run.state), response=lambda of: ShownResponse(drawn(*of)))),
+            Route(
+                "/plan",
+                partial(self._of_run, tell=lambda _, run: run, response=lambda run: ShownResponse(drawn(run.source.plan, run.state))),
+            ),
             Route(
                 "/policy", partial(self._of_run, tell=Followed.by, response=lambda of: Response(of.picture(), 200, None, "image/svg+xml"))
             ),
@@ -106,7 +110,7 @@ class ViewApp:
             Route("/events", self._events),
             Route("/metrics", self._numbers),
             Route("/control", control.look),
-            Route("/control", partial(control.do, world=self._projected), methods=["POST"]),
+            Route("/control", partial(control.do, world=self._projected, known=known), methods=["POST"]),
             Mount("/page", StaticFiles(directory=PAGE)),
         ]
         self.asgi: Final = _Guarded(Starlette(routes=routes))
@@ -404,8 +408,8 @@ class Control:
         """Answer with what may be controlled."""
         return self._refusal(request) or ShownResponse({"what": self.what.value})
 
-    async def do(self, request: Request, world: Callable[[], Awaitable[KnowledgeBase]]) -> Response:
-        """Have a command carried out, and answer with the reply; what is explained is explained from a world."""
+    async def do(self, request: Request, world: Callable[[], Awaitable[KnowledgeBase]], known: KnownRobots) -> Response:
+        """Have a command carried out, and answer with the reply; goals are explained, and looked at, from a world."""
         if refusal := self._refusal(request):
             return refusal
         if request.headers.get("content-type", "").partition(";")[0].strip() != _TYPE:
@@ -421,12 +425,17 @@ class Control:
             return _refused("expected a command as JSON", 400)
         if _is_deep(command):
             return _refused("expected a command with texts and lists of texts, found lists in lists", 400)
+        is_look = isinstance(command, dict) and command.get("do") == "look"
+        if is_look and self.turn.locked():  # whoever types goes on to do so, and asks again
+            return _refused("another goal is looked at just now", 503)
         reply = await self.channel.ask(command)
         if reply.problem:
             from planner_bridge.explanations.goal_now import answered  # here, because it takes its time to import
 
             try:
                 async with self.turn:  # in this process, because it takes a processor, which the tasks need
+                    if is_look:
+                        return ShownResponse(await asyncio.to_thread(looked_at, reply.problem, await world(), known))
                     answers = await asyncio.to_thread(answered, reply.problem, await world())
                 return ShownResponse({"answers": [answer.as_json() for answer in answers]})
             except PnmError as error:
@@ -441,6 +450,25 @@ class Control:
         if kind != "Bearer" or not hmac.compare_digest(given.encode("latin-1", "replace"), self.token.encode()):
             return _refused("this needs the token of the page: it is in the URL that was printed at the start", 403)
         return None
+
+
+def looked_at(packed: str, world: KnowledgeBase, known: KnownRobots) -> dict[str, Any]:
+    """Return what a plan for the goal of a problem that was packed would take, from a world, or why none is found soon, as JSON.
+
+    Its odds are those without a new plan; they, and its seconds, are None where they are not known.
+    """
+    from planner_bridge.explanations.goal_now import first_plan  # here, because it takes its time to import
+    from planner_bridge.pipeline.roll_outs import odds_of_goal
+    from planner_bridge.tasks.settings import Settings
+
+    problem, bindings, found = first_plan(packed, world, known.rates)
+    if found.plan is None:
+        return {"calls": None, "reason": found.reason}
+    settings = Settings(bindings=bindings, learned=known.rates)
+    told = odds_of_goal(problem, found.plan, settings, known.faults, policy=found.policy, seconds=0.0).told if known else None
+    seconds = told.median if told and told.chance else found.plan.makespan if found.plan.temporal else None
+    odds = {"chance": percent(told.chance), "rests_on": told.rests} if told else {"chance": None, "rests_on": ""}
+    return {"calls": len(found.plan.steps), "seconds": seconds, **odds}
 
 
 def _is_deep(value: object, levels: int = _LEVELS) -> bool:
@@ -475,7 +503,7 @@ def serve_page(
 
     reader, past = (Reader[Story](place, known) for _ in range(2))
     feed = Feed(reader)
-    app = ViewApp(place, feed, past, control)
+    app = ViewApp(place, feed, past, control, known)
     config = uvicorn.Config(
         app.asgi, log_config=None, log_level="critical", access_log=False, lifespan="off", ws="none", server_header=False
     )

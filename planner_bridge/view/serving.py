@@ -109,7 +109,7 @@ def _task(data: Mapping[str, object]) -> UUID | None:
 
 
 _COMMANDS: Final = (
-    *("check", "why", "goal", "plans", "start", "pause", "resume", "cancel", "take", "give", "step", "settle", "tell", "answer"),
+    *("check", "why", "look", "goal", "plans", "start", "pause", "resume", "cancel", "take", "give", "step", "settle", "tell", "answer"),
 )
 """The values of ``do``."""
 _CONFIRMED: Final = ("pause", "resume", "cancel", "take", "give", "step")
@@ -195,7 +195,7 @@ class Operator:
     async def _carry_out(self, data: Mapping[str, object]) -> Reply:
         """Read a command and carry it out; raise an `InputError` if it is none."""
         match data.get("do"):
-            case "why":  # why a goal cannot be reached from the world as it is, or what a plan for it would do
+            case "why" | "look":  # why a goal cannot be reached from the world as it is, or what a plan for it would do, or take
                 problem = await self._served.pack(_text(data, "goal"))
                 if len(problem) > MAX_PROBLEM:
                     raise InputError("the problem is too large to be explained here; `pnm why` takes it")

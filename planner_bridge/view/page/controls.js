@@ -1,6 +1,6 @@
 // Controls: what people may want of tasks, for those whose URL had the token. It is sent with every command, and kept for this tab alone.
 
-import { button, el, icon, inWords, reasons, signButton, words } from "./words.js";
+import { button, counted, el, icon, inWords, reasons, signButton, span, words } from "./words.js";
 
 const KEY = "pnm-token";
 const $ = (id) => document.getElementById(id);
@@ -191,10 +191,37 @@ const goal = $("goal");
 const goalSaid = $("goal-said");
 let checking = null;
 let waiting = 0;
+let isLooking = false; // a plan takes a processor: one is looked for at a time
 
 function checkedSoon() {
   clearTimeout(waiting);
+  shown("");
   waiting = setTimeout(check, 150);
+}
+
+function shown(text, colour = "", title = text) {
+  $("goal-look").textContent = text;
+  $("goal-look").title = title;
+  $("goal-look").className = `said ${colour}`;
+}
+
+// Shows what a plan for the goal that is typed would take, once nobody has typed for a while.
+async function look() {
+  if (isLooking || document.activeElement !== goal) return;
+  isLooking = true;
+  const text = goal.value;
+  let reply = { refused: "not connected" };
+  try {
+    reply = await asked("POST", { do: "look", goal: text });
+  } catch {
+    // the check says that the server is not there
+  }
+  isLooking = false;
+  if (goal.value !== text) waiting = setTimeout(check, 150);
+  else if (reply.refused) shown("", "", "");
+  else if (reply.calls === null) shown("no plan as things are", "bad", reply.reason);
+  else shown([reply.calls ? counted(reply.calls, "call") : "is so already", reply.calls && reply.seconds !== null ? span(reply.seconds) : "", reply.chance ?? ""].filter(Boolean).join(" · "), "ok",
+    `a plan from what is so when all that runs now has ended${reply.chance ? `; ${reply.chance} likely without a new plan, ${reply.rests_on}` : ""}`);
 }
 
 function told(text, colour) {
@@ -217,7 +244,10 @@ async function check() {
     const reply = await asked("POST", { do: "check", goal: text }, checking.signal);
     goal.setAttribute("aria-invalid", String(Boolean(reply.refused)));
     if (reply.refused) told(`✕ ${whereIn(reply)}${reply.refused}`, "bad");
-    else told(`✓ ${inWords(text)}`, "ok");
+    else {
+      told(`✓ ${inWords(text)}`, "ok");
+      waiting = setTimeout(look, 450);
+    }
   } catch (error) {
     if (error.name !== "AbortError") told("✕ not connected", "bad");
   }
@@ -234,6 +264,8 @@ goal.addEventListener("focus", () => {
 export function closeGoal() {
   $("goal-box").hidden = true;
   $("goal-form").classList.remove("open");
+  clearTimeout(waiting);
+  shown("");
   if (!goal.value) told("", "");
 }
 addEventListener("pointerdown", (pointer) => {

@@ -282,7 +282,8 @@ async def test_the_problem_as_the_world_is_now_goes_to_another_process_with_what
     knowledge = initial_knowledge(PROBLEM)
     node = served(knowledge, goals={"dark": "(dark)"})
     knowledge.update({("charged", "r1"): UNKNOWN, ("dark",): True})
-    problem = unpacked(await node.pack("dark"))
+    problem, bindings = unpacked(await node.pack("dark"))
+    assert bindings == NO_BINDINGS
     assert str(problem.goal) == "(dark)"
     assert problem.init[("dark",)] is True
     assert ("charged", "r1") in problem.unknown

@@ -5,24 +5,30 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 from playwright.sync_api import Browser, expect
 
+from planner_bridge.explanations.goal_now import packed
+from planner_bridge.model.grounding import initial_knowledge
 from planner_bridge.model.rates import Call, Counts, End, Rates, Times
 from planner_bridge.pipeline.achieve import achieve
-from planner_bridge.pipeline.odds import KnownRobots
+from planner_bridge.pipeline.loading import load
+from planner_bridge.pipeline.odds import NOTHING_KNOWN, KnownRobots
 from planner_bridge.pipeline.policy_odds import RestOfPlan
+from planner_bridge.view.app import looked_at
 from planner_bridge.view.follow import Reader
 from planner_bridge.view.serving import PageProcess
 from planner_bridge.view.story import Thing, view_of
 from pnm.actions.faults import Faults
+from pnm.core.logic.conditions import TRUE, Holds
 from pnm.core.machine.plan_graph import PlanGraph
 from tests.support.e2e.page.browser import browser
 from tests.support.e2e.page.journals import GrowingJournal, steps
 from tests.support.e2e.page.serving import asked, page_of
-from tests.support.files import written
+from tests.support.files import ROOT, written
 from tests.support.pddl.chance import NEVER_FAILS, RIVER, to_the_island
 from tests.support.processes import until
 
@@ -42,6 +48,16 @@ def told(delivery: Path) -> dict[int, Thing]:
     reader = Reader(delivery, KNOWN)
     views = ((step.number, reader.at(step.number, view_of)) for step in steps(delivery))
     return {number: next(iter(view.tasks.values())) for number, view in views if view and view.tasks}
+
+
+def test_a_goal_that_is_looked_at_has_odds_where_something_is_known_of_robots() -> None:
+    problem = load(ROOT / "domains" / "delivery" / "domain.pddl", ROOT / "problems" / "delivery" / "p01.pddl")
+    text, world = packed(replace(problem, goal=Holds(("at", "r1", "hall")))), initial_knowledge(problem)
+    known, unknown = looked_at(text, world, KNOWN), looked_at(text, world, NOTHING_KNOWN)
+    assert (known["calls"], known["chance"], unknown["chance"]) == (1, "98.9 %", None), "two attempts of 90 %, by a rate that is not sure"
+    assert 0.0 < known["seconds"] != unknown["seconds"]
+    so_already = packed(replace(problem, goal=TRUE))
+    assert looked_at(so_already, world, NOTHING_KNOWN)["calls"] == 0
 
 
 def test_odds_rise_with_each_call_that_ends_and_are_gone_once_something_has_failed(told: dict[int, Thing]) -> None:

@@ -105,11 +105,11 @@ def test_a_failure_can_be_read_and_what_followed(page: Page, delivery: Path) -> 
         page.close()
 
 
-def test_a_dropped_call_stays_until_something_of_the_new_plan_is_done_and_flags_show_what_reaches_the_goal(page: Page, delivery: Path) -> None:
+def test_a_dropped_call_stays_until_the_new_plan_gets_on_and_flags_show_what_reaches_the_goal(page: Page, delivery: Path) -> None:
     view = Reader(delivery).newest()
     changed = next(run["time"] for run in view.runs.values() if run["replan"] and run["replan"]["dropped"])
-    marks = [int(number) for number, event in view.events.items() if event["mark"]]
-    record = next(number for number in marks if view.events[str(number)]["mark"] == "replan" and view.events[str(number)]["time"] == changed)
+    marks = {int(number): event for number, event in view.events.items() if event["mark"]}
+    record = next(number for number, event in marks.items() if (event["mark"], event["time"]) == ("replan", changed))
     with page_of(delivery) as url:
         page.goto(url)
         gone = page.locator("#picture .dropped")

@@ -276,6 +276,14 @@ def test_why_a_goal_cannot_be_reached_is_a_tree_that_ends_at_the_closed_door(con
     assert (status, "too large to be explained here" in told["refused"]) == (409, True)
 
 
+def test_what_a_plan_would_take_is_told_while_a_goal_is_typed(controlled: ControlledPage) -> None:
+    status, told = controlled.send({"do": "look", "goal": "(at r1 yard)"})
+    assert (status, told["calls"] > 0, told["seconds"] > 0.0, told["chance"]) == (200, True, True, None)
+    told = controlled.send({"do": "look", "goal": "(at parcel1 yard)"})[1]
+    assert told == {"calls": None, "reason": "the goal cannot be reached"}
+    assert "too large" in controlled.send({"do": "look", "goal": "(large)"})[1]["refused"]
+
+
 def test_what_is_explained_counts_on_what_is_under_way(controlled: ControlledPage) -> None:
     """While a robot moves it is nowhere, so that it could never be anywhere again."""
     (plan,) = controlled.send({"do": "why", "goal": "(at r1 yard)"})[1]["answers"]
