@@ -146,20 +146,23 @@ function barsOf(model, runs, end, chosen) {
   return bars.sort((a, b) => a.from - b.from);
 }
 
-// Planned bars, unless nobody planned times; of a plan that another one follows, only what was planned until then.
+// Planned bars, unless nobody planned times; of a plan that another one follows, only what was planned until then. What a plan has
+// taken over from the one before stands there alone: it is not planned anew.
 function plannedOf(model, runs) {
   const own = runs.filter((run) => model.runs.get(run).is_own);
   const bars = [];
   for (const run of runs) {
     const { origin, time } = model.runs.get(run);
-    const calls = callsOf(model, run);
-    if (origin === null || !calls.some(([, call]) => call.planned > 0 || calls.length === 1)) continue;
+    const all = callsOf(model, run);
+    if (origin === null || !all.some(([, call]) => call.planned > 0 || all.length === 1)) continue;
+    const taken = new Set(requestsOf(model, run).filter(([, request]) => request.sent < time).map(([, request]) => request.call));
+    const calls = all.filter(([, call]) => !taken.has(call.index));
     const late = Math.max(0, time - Math.min(...calls.map(([, call]) => origin + call.planned))); // what goes on with the rest of a plan
     const until = model.runs.get(own[own.indexOf(run) + 1])?.time ?? Infinity;
     for (const [key, call] of calls) {
       const from = origin + call.planned + late;
       const to = Math.min(from + (call.duration ?? 0), until);
-      if (from < to) bars.push({ key, lane: call.lane, from, to, isCut: from + call.duration > until, action: call.action, name: actionOf(call.action).name });
+      if (from < to) bars.push({ key, lane: call.lane, from, to, isCut: from + call.duration > until && call.state !== "handed_over", action: call.action, name: actionOf(call.action).name });
     }
   }
   return bars.sort((a, b) => a.from - b.from);

@@ -25,6 +25,10 @@ patrol:
   plan:
     - note: {operation: {LocalUpdate: [answer, {PersonQuery: [answer, "The pump is hot. Go on?"]}]}}
 """
+COVERS = """() => {
+  const [said, mid] = ["command-said", "mid"].map((id) => document.getElementById(id).getBoundingClientRect());
+  return said.width > 0 && said.right > mid.left && said.left < mid.right && said.bottom > mid.top && said.top < mid.bottom;
+}"""
 
 
 @pytest.fixture
@@ -107,6 +111,9 @@ def a_robot_is_taken_and_given_back(page: Page) -> None:
     page.keyboard.press("Enter")
     expect(page.locator("#robots [data-robot=r2]")).to_contain_text("person")
     expect(page.locator("#detail")).to_contain_text(re.compile("in a person's hands since .*: the gripper is stuck"))
+    assert not page.evaluate(COVERS), "what is said of a command covers nothing of the middle"
+    heights = "new Set([...document.querySelectorAll('#lanes .planned rect')].map((each) => each.getAttribute('y'))).size"
+    assert page.evaluate(heights) <= page.locator("#robots [data-robot]").count(), "a plan is one row of a robot, also of what it took over"
     until_focused(page, "#detail button[title^='have tasks use it again']")
     page.keyboard.press("Enter")
     expect(page.locator("#command-said")).to_have_text("✓ r2 is given back")

@@ -11,6 +11,7 @@ from planner_bridge.model.grounding import initial_knowledge
 from planner_bridge.node.world_queries import MAX_LENGTH, MAX_TEXTS, SharedWorld, read_goals
 from pnm.core.logic.conditions import TRUE
 from pnm.core.logic.expressions import UNDEFINED, UNKNOWN
+from pnm.core.machine.bindings import NO_BINDINGS
 from pnm.errors import InputError
 from tests.support.runs.simulated import in_virtual_time
 from tests.support.tasks.world import PROBLEM, served, updated, world
