@@ -18,7 +18,7 @@ from dataclasses import asdict, dataclass, field, fields
 from functools import partial
 from itertools import count
 from pathlib import Path, PurePath
-from typing import TYPE_CHECKING, Any, Final, TypeVar
+from typing import TYPE_CHECKING, Any, Final, Generic, TypeVar
 from uuid import UUID, uuid4
 
 import uvicorn
@@ -74,11 +74,33 @@ HEADERS: Final = {
     "cross-origin-resource-policy": "same-origin",
     "cache-control": "no-store",
 }
-WATCHING: Final = 32
+WATCHING: Final = 512
 """Browsers that may watch at the same time: each of them is sent everything."""
+_SHARED: Final = 32
+"""Frames and answers that are kept for other browsers, which mostly ask for the same."""
 _DIGITS: Final = 40
 
 T = TypeVar("T")
+K = TypeVar("K")
+
+
+class Shared(Generic[K, T]):
+    """What was made last, by keys that do not change, each with what else has to be kept for it. That is its mutable state."""
+
+    def __init__(self) -> None:
+        self._made: dict[K, tuple[T, object]] = {}
+
+    def once(self, key: K, make: Callable[[], T], kept: object = None) -> T:
+        """Return what is made of a key: what was made before, if it is among the last ones."""
+        made = self._made.pop(key, None) or (make(), kept)
+        self._made[key] = made  # the last that was asked for
+        if len(self._made) > _SHARED:
+            del self._made[next(iter(self._made))]
+        return made[0]
+
+    def forget(self, key: K) -> None:
+        """Make it anew when it is asked for again."""
+        self._made.pop(key, None)
 
 
 class ViewApp:
@@ -94,15 +116,16 @@ class ViewApp:
         self._name = PurePath(str(place).partition("?")[0]).stem
         self._key = uuid4().hex
         """Of this journal as this process reads it: numbers of records that a browser has from elsewhere mean nothing here."""
+        self._frames = Shared[tuple[int, int], bytes]()
+        """As they are sent, by the identities of the views before and after."""
+        self._answers = Shared[str, asyncio.Future[Response]]()
+        """By what is asked, of records that are there, or under way."""
         routes = [
             Route("/", self._page),
             Route("/state", partial(self._told, tell=lambda story: self._frame(None, view_of(story)))),
             Route("/call", partial(self._told_of_call, tell=detail)),
             Route("/why", self._why),
-            Route(
-                "/plan",
-                partial(self._of_run, tell=lambda _, run: run, response=lambda run: ShownResponse(drawn(run.source.plan, run.state))),
-            ),
+            Route("/plan", partial(self._of_run, tell=lambda _, run: run, response=lambda run: ShownResponse(drawn(run)))),
             Route(
                 "/policy", partial(self._of_run, tell=Followed.by, response=lambda of: Response(of.picture(), 200, None, "image/svg+xml"))
             ),
@@ -193,6 +216,22 @@ class ViewApp:
         number, time = _number(request.query_params.get("at", "")), request.query_params.get("time", "")
         if number is None and not re.fullmatch(r"-?\d{1,15}(\.\d{1,20})?", time):
             return _refused(f"expected at=NUMBER, found {_quoted(request.query_params.get('at', ''))}", 400)
+        if number is None or request.query_params.keys() == {"at"}:  # numbers alone mean something else in a journal that is written anew
+            return await self._answered(number, time, tell, response)
+        key = f"{request.url.path}?{request.url.query}"
+        answering = self._answers.once(key, lambda: asyncio.ensure_future(self._answered(number, time, tell, response)))
+        is_there = False
+        try:
+            answer = await asyncio.shield(answering)
+            is_there = answer.status_code == 200
+            return answer
+        finally:
+            if not is_there:
+                self._answers.forget(key)
+
+    async def _answered(
+        self, number: int | None, time: str, tell: Callable[[Story], T | None], response: Callable[[T], Response]
+    ) -> Response:
         try:
             if number is None:
                 newest = (await self._feed.newest()).number
@@ -210,23 +249,32 @@ class ViewApp:
         seen: View | None = None
         if last is not None and request.query_params.get("of") == self._key:
             try:
-                seen = await self._feed.asked(last, view_of, self._past)
+                now = self._feed.view  # which most have seen that have lost their connection
+                seen = now if last == now.number else await self._feed.asked(last, view_of, self._past)
             except PnmError:
                 seen = None  # which is told as a problem, with the whole state
 
-        async def stream() -> AsyncIterator[str]:
+        async def stream() -> AsyncIterator[bytes]:
             nonlocal seen
             async for view in self._feed.views():
-                text = shown_json(self._frame(seen, view))
+                yield self._sent(seen, view)
                 seen = view
-                yield f"id: {view.number}\nretry: 1000\ndata: {text}\n\n"
 
         if self._feed.watching >= WATCHING:
             return _refused(f"{WATCHING} browsers watch already; close one of them", 503)
         return StreamingResponse(stream(), media_type="text/event-stream")
 
+    def _sent(self, before: View | None, after: View) -> bytes:
+        """Return a frame as it is sent; it is made once for all who have seen the same."""
+
+        def made() -> bytes:
+            return f"id: {after.number}\nretry: 1000\ndata: {shown_json(self._frame(before, after))}\n\n".encode()
+
+        return self._frames.once((id(before), id(after)), made, kept=(before, after))
+
     def _frame(self, before: View | None, after: View) -> dict[str, Any]:
-        return {"journal": self._key, "name": self._name, "host": socket.gethostname(), **frame(before, after)}
+        own = {"journal": self._key, "name": self._name, "host": socket.gethostname(), "watching": self._feed.watching}
+        return {**own, **frame(before, after)}
 
 
 class _Guarded:
@@ -272,9 +320,10 @@ def day_of(place: Place) -> list[dict[str, Any]]:
     return [{**task, "seconds": (task["ended"] or task["accepted"]) - task["accepted"]} for task in told]
 
 
-def drawn(plan: PlanGraph, state: KnowledgeBase) -> list[dict[str, Any]]:
+def drawn(run: RunHistory) -> list[dict[str, Any]]:
     """Return where the steps of a plan stand, and their arrows, as JSON: first those of the plan, then what its steps hold."""
-    told, reaching = [], goal_calls(plan, state)
+    plan, told = run.source.plan, []
+    reaching = goal_calls(plan, run.state)
     for name, flow in [("", plan.flow), *((name, flow) for step in plan.every_step for name, flow in held(step))]:
         layout = laid_out(flow, sys.maxsize)
         cells = [

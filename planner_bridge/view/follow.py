@@ -26,6 +26,8 @@ from pnm.journal.store import KeptJournal, Seen
 
 PERIOD: Final = 0.1
 """Seconds between two looks into a journal that has grown: no browser gets more frames."""
+_CROWD: Final = 100
+"""Browsers that are sent so many; of more, each gets fewer."""
 _IDLE: Final = 0.25
 """Seconds between two looks into one that has not."""
 
@@ -179,7 +181,7 @@ class Feed:
     async def _read(self) -> None:
         while not self._is_broken:
             is_news = self._set(await self.newest())
-            await asyncio.sleep(PERIOD if is_news else _IDLE)
+            await asyncio.sleep(PERIOD * max(1.0, self.watching / _CROWD) if is_news else _IDLE)
 
     async def newest(self) -> View:
         """Return the view after the last record; after a fault of ours its reason, and end."""

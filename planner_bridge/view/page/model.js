@@ -3,10 +3,10 @@
 import { DONE, actionOf, clock, counted, inWords, look, stateOf, words } from "./words.js";
 
 export const PARTS = ["tasks", "runs", "calls", "requests", "facts", "servers", "questions", "hands", "troubles", "events"];
-const HEAD = ["number", "time", "began", "first", "problem", "clock", "journal", "name", "host"];
+const HEAD = ["number", "time", "began", "first", "problem", "clock", "journal", "name", "host", "watching"];
 
 export function nothing() {
-  const model = { number: 0, time: 0, began: 0, first: 0, problem: "", clock: null, journal: "", name: "", host: "", heard: null, made: new Map() };
+  const model = { number: 0, time: 0, began: 0, first: 0, problem: "", clock: null, journal: "", name: "", host: "", watching: 1, heard: null, made: new Map() };
   for (const part of PARTS) model[part] = new Map();
   return model;
 }

@@ -14,6 +14,7 @@ const $ = (id) => document.getElementById(id);
 let live = nothing();
 let past = null;
 let isConnected = false;
+let refused = ""; // why this page is not told what happens
 let detail = null;
 let dirty = new Set();
 let asked = null;
@@ -27,10 +28,16 @@ const nowOf = (model) => (past ? model.time : timeNow(model));
 
 function connect() {
   const source = new EventSource(`/events${live.journal ? `?of=${live.journal}&after=${live.number}` : ""}`);
-  source.addEventListener("open", () => connected(true));
-  source.addEventListener("error", () => {
+  source.addEventListener("open", () => {
+    refused = "";
+    connected(true);
+  });
+  source.addEventListener("error", async () => {
+    if (source.readyState === EventSource.CLOSED) {
+      refused = await whyRefused(source.url);
+      setTimeout(connect, refused ? 10000 : 2000);
+    }
     connected(false);
-    if (source.readyState === EventSource.CLOSED) setTimeout(connect, 2000);
   });
   source.addEventListener("message", (message) => {
     const frame = JSON.parse(message.data);
@@ -39,6 +46,19 @@ function connect() {
     live = model;
     draw(past ? ["way"] : [...parts, "way", "time"]);
   });
+}
+
+// The reason why nothing more is told to this page, which no event has.
+async function whyRefused(url) {
+  const asking = new AbortController();
+  try {
+    const answer = await fetch(url, { signal: asking.signal });
+    return answer.ok ? "" : (await answer.json()).refused;
+  } catch {
+    return "";
+  } finally {
+    asking.abort();
+  }
 }
 
 function connected(isSo) {
@@ -226,7 +246,7 @@ async function askDetail(key) {
     // the stream says that the server is not there
   } finally {
     asking = false;
-    if (again) setTimeout(() => draw(["calls"]), 250);
+    if (again) setTimeout(() => draw(["calls"]), Math.max(250, 10 * model.watching)); // the more there are who ask, the less often
   }
 }
 
@@ -264,7 +284,7 @@ function showWay(model) {
   if (problem && problem !== troubled) say(problem, true);
   troubled = problem;
   if (problem) said("bad", "cannot be read on");
-  else if (!isConnected) said("bad", "not connected");
+  else if (!isConnected) said("bad", refused || "not connected");
   else if (past) said("run", "history");
   else said("ok", "live");
 }

@@ -7,11 +7,15 @@ import json
 import re
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 from urllib.parse import urlsplit
 
 import pytest
 
-from planner_bridge.view.app import PAGE, WATCHING
+from planner_bridge.view import app
+from planner_bridge.view.app import PAGE
+from planner_bridge.view.story import View
+from tests.support.e2e.page.journals import GrowingJournal
 from tests.support.e2e.page.serving import Stream, asked, page_of
 from tests.support.processes import until
 
@@ -93,10 +97,11 @@ def test_what_is_not_there_is_said_so(url: str, path: str, status: int) -> None:
     assert headers["content-security-policy"]
 
 
-def test_so_many_browsers_may_watch_and_no_more_until_one_has_left(url: str) -> None:
-    watching = [Stream(url) for _ in range(WATCHING)]
+def test_so_many_browsers_may_watch_and_no_more_until_one_has_left(url: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(app, "WATCHING", 8)
+    watching = [Stream(url) for _ in range(8)]
     status, _, text = asked(url, "/events")
-    assert (status, f"{WATCHING} browsers" in text) == (503, True)
+    assert (status, "8 browsers" in text) == (503, True)
     assert asked(url, "/state?at=5")[0] == 200
     for stream in watching:
         stream.close()
@@ -109,6 +114,48 @@ def _can_watch(url: str) -> bool:
     status = connection.getresponse().status
     connection.close()
     return status == 200
+
+
+def test_a_frame_is_made_once_for_all_browsers_that_have_seen_the_same(growing: GrowingJournal, monkeypatch: pytest.MonkeyPatch) -> None:
+    made = list[tuple[View | None, View]]()
+
+    def counted(before: View | None, after: View) -> dict[str, Any]:
+        made.append((before, after))
+        return own(before, after)
+
+    own = app.frame
+    monkeypatch.setattr(app, "frame", counted)
+    growing.grow(5)
+    received = 0
+    with page_of(growing.place) as served:
+        watching = [Stream(served) for _ in range(40)]
+        for record in range(5, growing.longest, 10):
+            growing.grow(record)
+            for stream in watching:
+                received += 1
+                while stream.next()[1]["number"] < record:
+                    received += 1
+        for stream in watching:
+            stream.close()
+    pairs = [(id(before), id(after)) for before, after in made]
+    assert len(pairs) == len(set(pairs)), "no frame is made twice"
+    assert received >= 40 * len({after for _, after in pairs}) > 0
+    assert len(pairs) < received / 10, "those who keep up have seen the same"
+
+
+def test_what_many_ask_of_a_call_is_answered_once(url: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    asked_for = list[object]()
+    own = app.drawn
+
+    def counted(run: Any) -> list[dict[str, Any]]:
+        asked_for.append(run)
+        return own(run)
+
+    monkeypatch.setattr(app, "drawn", counted)
+    run = next(iter(json.loads(asked(url, "/state?at=60")[2])["parts"]["runs"]))
+    answers = {asked(url, f"/plan?run={run}&at=58")[2] for _ in range(10)}
+    assert (len(answers), len(asked_for)) == (1, 1)
+    assert [asked(url, f"/plan?run={run}&at=99999")[0] for _ in range(2)] == [404, 404]
 
 
 def test_the_state_a_call_and_a_plan_after_a_record(url: str) -> None:
