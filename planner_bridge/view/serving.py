@@ -118,6 +118,8 @@ _CONFIRMED: Final = ("pause", "resume", "cancel", "take", "give", "step")
 # --- place ----------------------------------------------------------------------------------------
 
 _HOST: Final = "127.0.0.1"
+_COMING: Final = 1024
+"""Connections that may come at once, as after a restart when all browsers come back."""
 
 
 def listening(port: int) -> socket.socket:
@@ -131,7 +133,7 @@ def listening(port: int) -> socket.socket:
     opened.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
     try:
         opened.bind((_HOST, port))
-        opened.listen()
+        opened.listen(_COMING)
     except OSError as error:
         opened.close()
         raise InputError(f"the page cannot be at port {port}: {error.strerror}; --view=0 takes any that is free") from error

@@ -1,22 +1,26 @@
 """What the page costs: the browser's time at 1000 calls, and what an executor has left while somebody watches. Not a test.
 
-usage: python -m tests.benchmarks.bench_page
+usage: python -m tests.benchmarks.bench_page [frames | watched | crowd]
 
 The first paint: from the moment when the page has the state until plan and timeline of 1000 calls of 50 robots are drawn. A frame: all
 scripts of the page between two paints, while a journal with 1000 calls grows as one of busy robots does. The throughput: a run whose
 requests are answered at once, with every event committed, alone and with a browser that watches it; in turn, several times, on the
-same machine.
+same machine. The crowd: the same with 500 connections, which are real ones, and are all read.
 """
 
 from __future__ import annotations
 
+import asyncio
+import sys
 import tempfile
+import threading
 import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from statistics import median
 from typing import Final
+from urllib.parse import urlsplit
 from uuid import UUID
 
 from playwright.sync_api import Browser, Page
@@ -34,6 +38,7 @@ from tests.support.runs.timing import seconds
 
 CALLS: Final = 1000
 ROBOTS: Final = 50
+BROWSERS: Final = 500
 TURNS: Final = 5
 _PACE: Final = 0.05
 """Seconds between two commits of the journal that grows, and the records of each: some 40 calls a second."""
@@ -132,14 +137,76 @@ def throughput(chromium: Browser, folder: Path) -> None:
     print(f"the same by the time of its processor: {min(worked[False]) / min(worked[True]):.2f}")
 
 
+async def watched_by(url: str, number: int, began: threading.Event, over: threading.Event) -> tuple[int, int]:
+    """Watch by so many connections until it is over; return the frames that came, and the connections that have had the first one."""
+    host, port = urlsplit(url).hostname, urlsplit(url).port
+    frames, first = 0, 0
+
+    async def watch() -> None:
+        nonlocal frames, first
+        reader, writer = await asyncio.open_connection(host, port, limit=2**26)
+        writer.write(f"GET /events HTTP/1.1\r\nHost: {host}:{port}\r\n\r\n".encode())
+        is_first = True
+        while line := await reader.readline():
+            if line.startswith(b"data: "):
+                frames, first = frames + 1, first + is_first
+                is_first = False
+                if first == number:
+                    began.set()
+
+    watching = [asyncio.create_task(watch()) for _ in range(number)]
+    await asyncio.to_thread(over.wait)
+    for task in watching:
+        task.cancel()
+    await asyncio.gather(*watching, return_exceptions=True)
+    return frames, first
+
+
+def crowd(folder: Path) -> None:
+    """Measure what an executor does while hundreds watch, and while nobody does; and how many frames they get."""
+    machine = generate(rounds(CALLS))
+    prepare(machine)
+    took: dict[bool, list[float]] = {False: [], True: []}
+
+    def work(journal: Journal, world: KnowledgeBase, is_watched: bool) -> int:
+        took[is_watched].append(seconds(lambda: answered(machine, journal, world, UUID(int=1)), 1))
+        return CALLS
+
+    told = ""
+    for turn in range(2 * TURNS):
+        is_watched, file = bool(turn % 2), folder / f"crowd{turn}"
+        if not is_watched:
+            kept(lambda journal, world: work(journal, world, False), file)
+            continue
+        with PageProcess(0) as served, ThreadPoolExecutor(1) as thread:
+            served.follow(str(file))
+            began, over = threading.Event(), threading.Event()
+            watching = thread.submit(lambda url: asyncio.run(watched_by(url, BROWSERS, began, over)), served.url)
+            began.wait(120)
+            kept(lambda journal, world: work(journal, world, True), file)
+            over.set()
+            frames, first = watching.result()
+            told = f"{first} of {BROWSERS} connections had the first frame, all together {frames} frames"
+    ratio, usual = (of(took[False]) / of(took[True]) for of in (min, median))
+    print(f"executor with {BROWSERS} connections / without: {ratio:.2f}, of medians {usual:.2f}; {told}")
+
+
 def main() -> None:
-    """Measure all of it, in one run."""
-    with tempfile.TemporaryDirectory() as name, browser() as chromium:
+    """Measure all of it, or a part, in one run."""
+    parts = sys.argv[1:] or ["frames", "watched", "crowd"]
+    with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        machine = generate(rounds(CALLS, ROBOTS))
-        kept(lambda journal, world: answered(machine, journal, world), folder / "thousand")
-        browser_time(chromium, folder / "thousand", folder)
-        throughput(chromium, folder)
+        if "crowd" in parts:
+            crowd(folder)
+        if not {"frames", "watched"} & {*parts}:
+            return
+        with browser() as chromium:
+            if "frames" in parts:
+                machine = generate(rounds(CALLS, ROBOTS))
+                kept(lambda journal, world: answered(machine, journal, world), folder / "thousand")
+                browser_time(chromium, folder / "thousand", folder)
+            if "watched" in parts:
+                throughput(chromium, folder)
 
 
 if __name__ == "__main__":

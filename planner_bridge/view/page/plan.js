@@ -3,7 +3,7 @@
 import { callsOf, isOther, taskOf } from "./model.js";
 import { DONE, actionOf, el, fitted, icon, inWords, look, mark, svg, widthOf } from "./words.js";
 
-const CARD = [128, 44], GAP = 88, ROW = 72, HEAD = 24, EDGE = 6;
+const CARD = [112, 44], GAP = 76, ROW = 72, HEAD = 24, EDGE = 4; // four columns fit beside the inspector at 1280
 const $ = (id) => document.getElementById(id);
 let told = null; // the layout of the plan that is shown: {run, sections}
 let asked = ""; // the run whose layout is fetched
@@ -81,6 +81,9 @@ function positions(sections) {
 export function showPlan(model, run, number, calls, chosen, choose, redraw) {
   $("plan").hidden = !run;
   $("plan-title").textContent = number > 1 ? `Plan ${number}` : "Plan";
+  const why = isOther(model.runs.get(run)) ? model.runs.get(run).replan.why.replace(/^a new plan is needed: /, "") : "";
+  $("plan-why").textContent = why.split(";")[0];
+  $("plan-why").title = why;
   if (!run) return;
   showChanges(isOther(model.runs.get(run)) ? model.runs.get(run).replan : null);
   if (told?.run !== run) {
@@ -171,7 +174,7 @@ function factOf(link, x1, y1, y2, isDetour = false) {
   const facts = [...link.protects].sort((a, b) => /^\((free|idle|ready|empty|available)\b/.test(a) - /^\((free|idle|ready|empty|available)\b/.test(b));
   if (!facts.length) return [];
   const more = facts.length > 1 ? ` +${facts.length - 1}` : "";
-  const text = `${fitted(inWords(facts[0]), GAP - 6 - widthOf(more))}${more}`;
+  const text = `${fitted(inWords(facts[0]), GAP - 2 - widthOf(more))}${more}`;
   const title = svg("title", {}, facts.map(inWords).join("\n"));
   if (Math.abs(y1 - y2) < 4) return [svg("text", { class: "td fact", x: x1 + GAP / 2, y: link.beforePort > 0 && !isDetour ? y1 + 15 : y1 - 5, "text-anchor": "middle" }, text, title)];
   const [wide, y] = [widthOf(text) + 6, (y1 + y2) / 2];
@@ -211,9 +214,11 @@ function showState(box, cell, call, isChosen) {
   const isOwn = call && call.lane !== call.action.split("(")[0];
   const again = call?.attempts > 1 ? `${call.attempts}× ` : "";
   const declared = call && !["waiting", word, call.state, "running", "aborted"].includes(call.outcome) && call.state === "succeeded" ? call.outcome : "";
-  const second = again + [isOwn ? who : "", declared || objects.slice(-2).join(" → ")].filter(Boolean).join(" · ");
+  const room = CARD[0] - (cell.reaches_goal ? 30 : 14);
+  const said = (most) => again + [isOwn ? who : "", declared || objects.slice(-most).join(" → ")].filter(Boolean).join(" · ");
+  const second = widthOf(said(2)) <= room ? said(2) : said(1);
   box.querySelector(".badge").replaceChildren(mark(sign, cell.x + 8, cell.y + 9, colour),
-    svg("text", { class: "tn", x: cell.x + 25, y: cell.y + 19 }, fitted(cell.name.replaceAll("_", " "), CARD[0] - 40, true)), svg("text", { class: "td", x: cell.x + 8, y: cell.y + 36 }, fitted(second, CARD[0] - (cell.reaches_goal ? 30 : 14))));
+    svg("text", { class: "tn", x: cell.x + 25, y: cell.y + 19 }, fitted(cell.name.replaceAll("_", " "), CARD[0] - 40, true)), svg("text", { class: "td", x: cell.x + 8, y: cell.y + 36 }, fitted(second, room)));
   box.classList.toggle("glow", call?.state === "running");
 }
 

@@ -228,7 +228,7 @@ function layOut(model, { layout, left, from, to, began, lanes, planned, runs, is
   const future = svg("rect", { class: "fut", y: TOP, height: height - TOP });
   const now = svg("g", { class: "now" }, svg("path", { class: "nowl" }), svg("rect", { class: "nowb", y: 0, height: 20, rx: 4 }), svg("text", { class: "t-on", y: 14 }));
   const group = svg("g");
-  const picture = svg("svg", { class: "g", width, height: height + 20, viewBox: `0 0 ${width} ${height + 20}`, role: "img" }, future, ...grid, ...parts, group, ...cuts, now);
+  const picture = svg("svg", { class: "g", width, height: height + 20, viewBox: `0 0 ${width} ${height + 20}`, role: "img" }, future, ...grid, ...cuts, ...parts, group, now);
   drawn = { ...drawn, layout, x, left, tops, names, height, now, future, group, svg: picture, bars: new Map(), narrow: new Map() };
   place.replaceChildren(picture);
 }

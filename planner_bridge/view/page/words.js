@@ -214,7 +214,7 @@ export function keyed(place, tag, entries, act) {
     const known = old.get(key) ?? { element: el(tag, tag === "button" ? { type: "button" } : {}) };
     if (!old.has(key) && act) known.element.addEventListener("click", () => act(key));
     if (known.looks !== looks) {
-      for (const { name } of [...known.element.attributes]) if (!(name in attributes) && name !== "type") known.element.removeAttribute(name);
+      for (const { name } of [...known.element.attributes]) if ((attributes[name] ?? null) === null && name !== "type") known.element.removeAttribute(name);
       known.element.replaceChildren();
       filled(known.element, attributes, children());
       known.looks = looks;
