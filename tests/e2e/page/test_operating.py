@@ -64,6 +64,7 @@ def until_focused(page: Page, wanted: str) -> None:
 
 def test_all_is_done_by_keys_alone(page: Page) -> None:
     a_plan_by_hand_is_started_and_answered(page)
+    a_day_is_looked_at(page)
     a_goal_is_sent_paused_and_goes_on(page)
     a_robot_is_taken_and_given_back(page)
 
@@ -75,14 +76,42 @@ def a_plan_by_hand_is_started_and_answered(page: Page) -> None:
     expect(page.locator("#task h2")).to_have_text("Patrol (rounds: 3)")
     expect(page.locator(".need.asks p")).to_have_text("The pump is hot. Go on?")
     expect(page.locator("#pill")).to_have_text("1 needs you")
-    found = Axe().run(page)
-    assert not found.response["violations"], found.generate_report()
+    everybody_can_use(page)
     page.keyboard.press("Escape")
     page.evaluate("document.activeElement.blur()")
     page.keyboard.press("y")
     expect(page.locator("#command-said")).to_have_text("✓ answered: yes")
     expect(page.locator("#task")).to_contain_text("goal reached")
     expect(page.locator("#pill")).to_have_text("nothing needs you")
+
+
+def everybody_can_use(page: Page) -> None:
+    """Nothing is found on what is shown, on a wide screen, on a phone, and there with the inspector pulled up, in light and dark."""
+    for width, scheme in ((1280, "light"), (400, "dark"), (400, "light")):
+        page.set_viewport_size({"width": width, "height": 800})
+        page.emulate_media(color_scheme="dark" if scheme == "dark" else "light", reduced_motion="reduce")
+        for is_up in (False, True) if width == 400 else (False,):
+            if is_up:
+                page.locator("#grab").click()
+                expect(page.locator("#grab")).to_have_attribute("aria-expanded", "true")
+            found = Axe().run(page)
+            assert not found.response["violations"], found.generate_report()
+            assert page.evaluate("document.documentElement.scrollWidth") <= width
+            if is_up:
+                page.locator("#grab").click()
+    page.set_viewport_size({"width": 1280, "height": 800})
+
+
+def a_day_is_looked_at(page: Page) -> None:
+    page.locator("#day-open").click()
+    expect(page.locator("#day [role=button]").first).to_be_visible()
+    everybody_can_use(page)
+    page.locator("#day [role=button]").first.focus()
+    page.keyboard.press("Enter")
+    expect(page.locator("#detail h2")).to_have_text(re.compile(r"^\d+:00 to \d+:00$"))
+    everybody_can_use(page)
+    page.keyboard.press("Escape")
+    expect(page.locator("#day")).to_be_hidden()
 
 
 def a_goal_is_sent_paused_and_goes_on(page: Page) -> None:
@@ -111,6 +140,7 @@ def a_robot_is_taken_and_given_back(page: Page) -> None:
     page.keyboard.press("Enter")
     expect(page.locator("#robots [data-robot=r2]")).to_contain_text("person")
     expect(page.locator("#detail")).to_contain_text(re.compile("in a person's hands since .*: the gripper is stuck"))
+    everybody_can_use(page)
     assert not page.evaluate(COVERS), "what is said of a command covers nothing of the middle"
     heights = "new Set([...document.querySelectorAll('#lanes .planned rect')].map((each) => each.getAttribute('y'))).size"
     assert page.evaluate(heights) <= page.locator("#robots [data-robot]").count(), "a plan is one row of a robot, also of what it took over"
