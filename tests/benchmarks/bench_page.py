@@ -11,9 +11,9 @@ same machine. The crowd: the same with 500 connections, which are real ones, and
 from __future__ import annotations
 
 import asyncio
+import subprocess
 import sys
 import tempfile
-import threading
 import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
@@ -39,6 +39,7 @@ from tests.support.runs.timing import seconds
 CALLS: Final = 1000
 ROBOTS: Final = 50
 BROWSERS: Final = 500
+CROWD_TURNS: Final = 1
 TURNS: Final = 5
 _PACE: Final = 0.05
 """Seconds between two commits of the journal that grows, and the records of each: some 40 calls a second."""
@@ -137,8 +138,8 @@ def throughput(chromium: Browser, folder: Path) -> None:
     print(f"the same by the time of its processor: {min(worked[False]) / min(worked[True]):.2f}")
 
 
-async def watched_by(url: str, number: int, began: threading.Event, over: threading.Event) -> tuple[int, int]:
-    """Watch by so many connections until it is over; return the frames that came, and the connections that have had the first one."""
+async def watched(url: str, number: int) -> tuple[int, int]:
+    """Watch by so many connections until the input ends; return the frames that came, and the connections that have had the first one."""
     host, port = urlsplit(url).hostname, urlsplit(url).port
     frames, first = 0, 0
 
@@ -150,12 +151,12 @@ async def watched_by(url: str, number: int, began: threading.Event, over: thread
         while line := await reader.readline():
             if line.startswith(b"data: "):
                 frames, first = frames + 1, first + is_first
+                if is_first and first == number:
+                    print("all watch", flush=True)
                 is_first = False
-                if first == number:
-                    began.set()
 
     watching = [asyncio.create_task(watch()) for _ in range(number)]
-    await asyncio.to_thread(over.wait)
+    await asyncio.to_thread(sys.stdin.read)
     for task in watching:
         task.cancel()
     await asyncio.gather(*watching, return_exceptions=True)
@@ -173,27 +174,30 @@ def crowd(folder: Path) -> None:
         return CALLS
 
     told = ""
-    for turn in range(2 * TURNS):
+    for turn in range(2 * CROWD_TURNS):
         is_watched, file = bool(turn % 2), folder / f"crowd{turn}"
         if not is_watched:
             kept(lambda journal, world: work(journal, world, False), file)
             continue
-        with PageProcess(0) as served, ThreadPoolExecutor(1) as thread:
+        with PageProcess(0) as served:
             served.follow(str(file))
-            began, over = threading.Event(), threading.Event()
-            watching = thread.submit(lambda url: asyncio.run(watched_by(url, BROWSERS, began, over)), served.url)
-            began.wait(120)
-            kept(lambda journal, world: work(journal, world, True), file)
-            over.set()
-            frames, first = watching.result()
-            told = f"{first} of {BROWSERS} connections had the first frame, all together {frames} frames"
+            command = [sys.executable, "-m", "tests.benchmarks.bench_page", "watch", served.url, str(BROWSERS)]
+            with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as watching:
+                assert watching.stdout is not None
+                watching.stdout.readline()  # all watch
+                kept(lambda journal, world: work(journal, world, True), file)
+                told = watching.communicate()[0].strip()
     ratio, usual = (of(took[False]) / of(took[True]) for of in (min, median))
-    print(f"executor with {BROWSERS} connections / without: {ratio:.2f}, of medians {usual:.2f}; {told}")
+    print(f"executor with {BROWSERS} connections / without: {ratio:.2f}, of medians {usual:.2f}; the last time {told}")
 
 
 def main() -> None:
     """Measure all of it, or a part, in one run."""
     parts = sys.argv[1:] or ["frames", "watched", "crowd"]
+    if parts[0] == "watch":  # the connections, in a process of their own
+        frames, first = asyncio.run(watched(parts[1], int(parts[2])))
+        print(f"{frames} frames came, and {first} connections had one")
+        return
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         if "crowd" in parts:
