@@ -39,6 +39,7 @@ from pnm.core.logic.conditions import TRUE, Condition, conjuncts, evaluate, name
 from pnm.core.logic.expressions import fluent_text
 from pnm.core.machine.plan_graph import PlanGraph
 from pnm.core.pictures.plan_picture import held, laid_out, words_of
+from pnm.core.pictures.xml_text import TOKENS
 from pnm.errors import InputError, PnmError, printable
 from pnm.files.database.place import Place
 from pnm.tasks import percent
@@ -134,12 +135,18 @@ class ViewApp:
             Route("/metrics", self._numbers),
             Route("/control", control.look),
             Route("/control", partial(control.do, world=self._projected, known=known), methods=["POST"]),
+            Route("/page/tokens.css", self._tokens),
             Mount("/page", StaticFiles(directory=PAGE)),
         ]
         self.asgi: Final = _Guarded(Starlette(routes=routes))
 
     async def _page(self, request: Request) -> Response:
         return FileResponse(PAGE / "index.html")
+
+    async def _tokens(self, request: Request) -> Response:
+        """Answer with the colours, which the page shares with pictures."""
+        colours = "".join(f"--{name}:light-dark({light},{dark});" for name, (light, dark) in TOKENS.items())
+        return Response(f":root{{{colours}}}", media_type="text/css")
 
     async def _why(self, request: Request) -> Response:
         """Answer with why a call is in its plan, and why it began when it did or what it waits for, as it was after a record.

@@ -18,7 +18,7 @@ from typing import Final, NamedTuple
 from pnm.core.logic.expressions import Fluent, fluent_text
 from pnm.core.machine.plan_graph import ActionCall, Flow, Moment, PlanGraph, Step, WaitUntil, every_step, flows, in_order
 from pnm.core.pictures.export import quoted
-from pnm.core.pictures.xml_text import cut, picture, xml
+from pnm.core.pictures.xml_text import COLOUR, cut, picture, short, xml
 from pnm.errors import counted
 
 # --- where each step stands -----------------------------------------------------------------
@@ -198,19 +198,18 @@ _PITCH: Final = (312, 74)
 _MARGIN: Final = (64, 24)
 _BETWEEN: Final = 26
 """More room between lines of columns."""
-_LETTERS: Final = 30
+_LETTERS: Final = 27
 """Letters of a text in a box; longer ones are cut off, and are whole when they are pointed at."""
-_FACT: Final = 19
+_FACT: Final = 16
 """Letters of a fact at an arrow."""
 _FACTS: Final = 4
 """Facts above each other where arrows end."""
 _NUMBERS: Final = _FACT - 4
 """Letters of the numbers of other steps."""
 _STYLE: Final = (
-    "text{font:11px sans-serif;fill:#263238}.name{font-weight:bold;font-size:12px}.fact{font-size:9.5px;fill:#1565c0;"
-    "paint-order:stroke;stroke:#fff;stroke-width:3px}.far{font-size:9.5px;fill:#546e7a}rect{fill:#eceff1;stroke:#546e7a}"
-    "path{fill:none;stroke:#78909c}.rule{stroke:#cfd8dc}"
-)
+    "text{{font:12px sans-serif;fill:{text}}}.name{{font-weight:bold}}"
+    ".fact{{fill:{run};paint-order:stroke;stroke:{surface};stroke-width:3px}}.far{{fill:{dim}}}rect{{fill:{surface};stroke:{edge}}}path{{fill:none;stroke:{edge}}}.rule{{stroke:{line}}}"
+).format_map(COLOUR)
 
 
 def plan_svg(plan: PlanGraph, title: str = "", *, style: str = _STYLE) -> str:
@@ -292,8 +291,9 @@ def _facts(layout: PlanLayout, arrows: Iterable[Arrow]) -> Iterator[str]:
         x, y = _corner(layout.cells[index])
         for number, arrow in enumerate(together[:_FACTS]):
             others = [fact for other in together[_FACTS - 1 :] for fact in other.protects] if number == _FACTS - 1 else list(arrow.protects)
-            at = y + _BOX[1] // 2 - 5 - 11 * number
-            yield f'<text class="fact" x="{x - 8}" y="{at}" text-anchor="end">{xml(facts_of(tuple(others), _FACT))}</text>'
+            at = y + _BOX[1] // 2 - 5 - 13 * number
+            text, whole = facts_of(tuple(others), _FACT), " ".join(map(fluent_text, others))
+            yield f'<text class="fact" x="{x - 8}" y="{at}" text-anchor="end">{xml(text)}<title>{xml(whole)}</title></text>'
 
 
 def _numbered_arrows(layout: PlanLayout) -> Iterator[str]:
@@ -308,11 +308,12 @@ def _numbered_arrows(layout: PlanLayout) -> Iterator[str]:
     for index, cell in layout.cells.items():
         x, y = _corner(cell)
         if index in leaving:
-            yield f'<text class="far" x="{x + _BOX[0] + 4}" y="{y + _BOX[1] - 4}">→ {cut(numbers(leaving[index]), _NUMBERS)}</text>'
+            yield f'<text class="far" x="{x + _BOX[0] + 4}" y="{y + _BOX[1] - 4}">→ {short(numbers(leaving[index]), _NUMBERS)}</text>'
         if index in coming:
-            yield f'<text class="far" x="{x - 4}" y="{y + _BOX[1] - 4}" text-anchor="end">{cut(numbers(coming[index]), _NUMBERS)} →</text>'
+            others = short(numbers(coming[index]), _NUMBERS)
+            yield f'<text class="far" x="{x - 4}" y="{y + _BOX[1] - 4}" text-anchor="end">{others} →</text>'
         if index in ending:
-            yield f'<text class="far" x="{x + 8}" y="{y + _BOX[1] + 12}">ends after {cut(numbers(ending[index]), _NUMBERS)}</text>'
+            yield f'<text class="far" x="{x + 8}" y="{y + _BOX[1] + 12}">ends after {short(numbers(ending[index]), _NUMBERS)}</text>'
 
 
 # --- as Graphviz text -----------------------------------------------------------------------

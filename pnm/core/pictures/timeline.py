@@ -14,7 +14,7 @@ from statistics import median
 from typing import Final
 
 from pnm.core.machine.requests import OutcomeKind
-from pnm.core.pictures.xml_text import cut, picture, xml
+from pnm.core.pictures.xml_text import COLOUR, cut, picture, short, xml
 
 
 @dataclass(frozen=True, slots=True)
@@ -161,21 +161,21 @@ _WIDTH: Final = (900, 20000)
 _CALL: Final = 90
 """Pixels of a usual call, at least."""
 _TOP: Final = 44
-_ROW: Final = 40
+_ROW: Final = 44
 """Pixels of a row: a thin bar, a thick one, and a line of words."""
-_LINE: Final = 15
+_LINE: Final = 18
 """Pixels of a line of words below."""
-_LETTER: Final = 5.8
+_LETTER: Final = 6.8
 """Pixels of a letter."""
 _TICK: Final = 90
 """Pixels from one time on the axis to the next, at least."""
 _KEY: Final = "thin: as planned   thick: as done   ✗ failed   ⊘ cancelled   → under way   ↻ a new plan"
 _STYLE: Final = (
-    "text{font:10px sans-serif;fill:#263238}.name{font-weight:bold;font-size:12px}.far{font-size:9px;fill:#546e7a}"
-    ".words{font-size:9px;fill:#b71c1c}.planned{fill:#90a4ae}.done{fill:#a5d6a7;stroke:#2e7d32}.failed{fill:#ef9a9a;stroke:#b71c1c}"
-    ".canceled{fill:#ffe0b2;stroke:#e65100}.going{fill:#bbdefb;stroke:#1565c0}path{fill:none;stroke:#cfd8dc}"
-    ".cut{stroke:#6a1b9a;stroke-dasharray:4 3}.why{fill:#6a1b9a}"
-)
+    "text{{font:12px sans-serif;fill:{text}}}.name{{font-weight:bold}}.far{{fill:{dim}}}.words{{fill:{bad}}}"
+    ".planned{{fill:{surface};stroke:{edge}}}.done{{fill:{ok_s};stroke:{ok_e}}}.failed{{fill:{bad_s};stroke:{bad}}}"
+    ".canceled{{fill:{track};stroke:{edge}}}.going{{fill:{run_s};stroke:{run}}}path{{fill:none;stroke:{line}}}"
+    ".cut{{stroke:{cut};stroke-dasharray:4 3}}.why{{fill:{cut}}}"
+).format_map(COLOUR)
 
 
 @dataclass(frozen=True, slots=True)
@@ -217,11 +217,11 @@ def _task(timeline: Timeline) -> tuple[list[str], float, float]:
             fitting.append(bar)
     bottom = _TOP + _ROW * sum(map(len, lanes.values()))
     width = _LEFT + span * scale + _RIGHT
-    parts = [f'<text class="name" x="10" y="16">{xml(cut(timeline.goal, int(width / 8)))}</text>']
+    parts = [f'<text class="name" x="10" y="16">{short(timeline.goal, int(width / 8))}</text>']
     parts += _axis(span, scale, bottom)
     y = _TOP
     for lane, rows in lanes.items():
-        parts.append(f'<path d="M0 {y}H{width:g}"/><text class="name" x="10" y="{y + 20}">{xml(cut(lane, 14))}</text>')
+        parts.append(f'<path d="M0 {y}H{width:g}"/><text class="name" x="10" y="{y + 20}">{short(lane, 13)}</text>')
         for row in rows:
             row.sort(key=_named_at)
             for bar, following in zip(row, [*row[1:], None], strict=True):
@@ -235,7 +235,7 @@ def _task(timeline: Timeline) -> tuple[list[str], float, float]:
         parts.append(f'<text class="why" x="{x + 2:g}" y="{_TOP - 2}">↻{number}</text></g>')
     for line, (kind, text) in enumerate(words, 1):
         x, y = 24 if kind == "far" else 10, bottom + _LINE * line + 3
-        parts.append(f'<text class="{kind}" x="{x}" y="{y:g}">{xml(cut(text, int(width / _LETTER)))}</text>')
+        parts.append(f'<text class="{kind}" x="{x}" y="{y:g}">{short(text, int((width - x) / _LETTER))}</text>')
     return parts, width, bottom + _LINE * len(words) + 16
 
 
@@ -297,7 +297,7 @@ def _drawn(bar: _Bar, y: float, scale: float, until: float) -> Iterator[str]:
         kind, sign = _look(attempt)
         ended = bar.done[1] if attempt.ended is None and bar.done else attempt.ended or attempt.sent
         x, width = _LEFT + attempt.sent * scale, max((ended - attempt.sent) * scale, 2)
-        yield f'<rect class="{kind}" x="{x:g}" y="{y + 11:g}" width="{width:g}" height="14"/>'
+        yield f'<rect class="{kind}" x="{x:g}" y="{y + 11:g}" width="{width:g}" height="16" rx="2"/>'
         if sign:
             noted.append((attempt.sent, f"{sign} {_how(attempt)}"))
     if call.is_failed and (not call.attempts or call.attempts[-1].outcome is OutcomeKind.SUCCEEDED):
@@ -306,15 +306,19 @@ def _drawn(bar: _Bar, y: float, scale: float, until: float) -> Iterator[str]:
         noted.append((call.attempts[-1].sent if call.attempts else _begin(bar), call.declared))
     elif not call.attempts:
         noted.append((_begin(bar), call.outcome))
-    yield from _written("", y + 21.5, scale, [(_named_at(bar), call.name)], until)
-    yield from _written("words" if call.attempts else "far", y + 35, scale, noted, until)
+    (begins, last), wide = bar.done or bar.planned or (until, until), len(call.name) * _LETTER + 6
+    ends = call.attempts[1].sent if len(call.attempts) > 1 else last
+    is_beside = (ends - begins) * scale < wide <= (until - last) * scale  # else it is in the bar of its first attempt, as far as it fits
+    yield from _written("", y + 23.5, scale, [(last if is_beside else begins, call.name)], until if is_beside else ends)
+    has_failed = any(text.startswith("✗") for _, text in noted)
+    yield from _written("words" if has_failed else "far", y + 39, scale, noted, until)
     yield "</g>"
 
 
 def _written(kind: str, y: float, scale: float, words: Sequence[tuple[float, str]], until: float) -> Iterator[str]:
     """Yield words at their times, as far as there is room until the next ones; where there is none, their sign alone."""
     for (time, text), (following, _) in pairwise((*words, (until, ""))):
-        letters = int((following - time) * scale / _LETTER)
+        letters = int(((following - time) * scale - 6) / _LETTER)
         shown = cut(text, letters) if letters > 2 else text[:1] if kind else ""
         if shown:
             yield f'<text class="{kind}" x="{_LEFT + time * scale + 3:g}" y="{y:g}">{xml(shown)}</text>'

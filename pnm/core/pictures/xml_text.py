@@ -10,12 +10,51 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from html import escape
 from itertools import count
+from types import MappingProxyType
 from typing import Final
 from xml.parsers import expat
 
 from pnm.errors import InputError, Position, printable_lines
 
-_FRAME: Final = ".tip{fill:#78909c;stroke:none}.paper{fill:#fff;stroke:none}"
+TOKENS: Final[Mapping[str, tuple[str, str]]] = MappingProxyType(
+    {
+        "bg": ("#f4f5f8", "#0b0d11"),
+        "surface": ("#fff", "#12151b"),
+        "raised": ("#f8f9fb", "#171b22"),
+        "line": ("#e2e5eb", "#242a34"),
+        "edge": ("#868f9d", "#6b7686"),
+        "hover": ("#eef1f6", "#1c212a"),
+        "sel": ("#fff", "#222833"),
+        "track": ("#d3d8e0", "#3a4350"),
+        "future": ("#f6f7fa", "#181c24"),
+        "text": ("#12161d", "#e9ecf1"),
+        "dim": ("#545e6d", "#9aa5b5"),
+        "run": ("#1d5bd6", "#7db0ff"),
+        "run-s": ("#e6eefd", "#172742"),
+        "on-run": ("#fff", "#0a1426"),
+        "ok": ("#10693b", "#5fd09a"),
+        "ok-s": ("#e2f3e9", "#11291e"),
+        "ok-e": ("#8cc5a4", "#2c6a4a"),
+        "bad": ("#b3221b", "#ff8a80"),
+        "bad-s": ("#fcebe9", "#341816"),
+        "on-bad": ("#fff", "#2b0806"),
+        "ask": ("#8a5200", "#f0bd5d"),
+        "ask-s": ("#fff5df", "#2a2110"),
+        "ask-e": ("#e0b662", "#7a5c1f"),
+        "ask-b": ("#a35f00", "#f0bd5d"),
+        "on-ask": ("#fff", "#221700"),
+        "cut": ("#6438bd", "#bda4ff"),
+        "cut-s": ("#f0eafc", "#221b39"),
+        "glow": ("#1d5bd640", "#7db0ff50"),
+    }
+)
+"""The colours of pictures and of the page, light and dark, by their names.
+
+What runs is blue, what is done green, what has failed red, what needs a person amber, and a new plan violet.
+"""
+COLOUR: Final = {name.replace("-", "_"): light for name, (light, _) in TOKENS.items()}
+"""Those of a picture, which is light everywhere."""
+_FRAME: Final = ".tip{{fill:{edge};stroke:none}}.paper{{fill:{surface};stroke:none}}".format_map(COLOUR)
 
 
 def xml(text: str) -> str:
@@ -26,6 +65,12 @@ def xml(text: str) -> str:
 def cut(text: str, letters: int) -> str:
     """Return a text that has so many letters at most."""
     return text if len(text) <= letters else f"{text[: letters - 1]}…"
+
+
+def short(text: str, letters: int) -> str:
+    """Return a text as it stands in a picture, with so many letters at most, and whole where it is pointed at if it is cut."""
+    shown = cut(text, letters)
+    return xml(shown) if shown == text else f"{xml(shown)}<title>{xml(text)}</title>"
 
 
 def picture(kind: str, title: str, style: str, width: float, height: float, parts: Iterable[str]) -> str:
