@@ -114,6 +114,8 @@ class ViewApp:
         self._control = control
         self._metrics: Metrics | None = None
         """Those that somebody has asked for."""
+        self._counts, self._reads = asyncio.Lock(), asyncio.Lock()
+        """Whoever has a whole journal read waits for the others here, and not on a thread: all that is shown needs those."""
         self._name = PurePath(str(place).partition("?")[0]).stem
         self._key = uuid4().hex
         """Of this journal as this process reads it: numbers of records that a browser has from elsewhere mean nothing here."""
@@ -161,7 +163,8 @@ class ViewApp:
         def answered(about: tuple[UUID, int, int]) -> Response:
             return ShownResponse([answer.as_json() for answer in explained(self._place, *about)])
 
-        return await self._told_of_call(request, asked, answered)
+        async with self._reads:
+            return await self._told_of_call(request, asked, answered)
 
     def close(self) -> None:
         """Read no more for numbers."""
@@ -174,14 +177,16 @@ class ViewApp:
 
         try:
             self._metrics = self._metrics or Metrics(self._place)
-            return Response(await asyncio.to_thread(self._metrics.text), media_type="text/plain; version=0.0.4")
+            async with self._counts:
+                return Response(await asyncio.to_thread(self._metrics.text), media_type="text/plain; version=0.0.4")
         except PnmError as error:
             return _refused(str(error), 503)
 
     async def _day(self, request: Request) -> Response:
         """Answer with all tasks of the journal, read anew: this is asked by people, now and then."""
         try:
-            return ShownResponse(await asyncio.to_thread(day_of, self._place))
+            async with self._reads:
+                return ShownResponse(await asyncio.to_thread(day_of, self._place))
         except PnmError as error:
             return _refused(str(error), 409)
 

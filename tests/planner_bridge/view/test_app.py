@@ -5,7 +5,9 @@ from __future__ import annotations
 import http.client
 import json
 import re
+import threading
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit
@@ -17,7 +19,7 @@ from planner_bridge.view.app import PAGE
 from planner_bridge.view.story import View
 from tests.support.e2e.page.journals import GrowingJournal
 from tests.support.e2e.page.serving import Stream, asked, page_of
-from tests.support.processes import until
+from tests.support.processes import LIMIT, until
 
 
 @pytest.fixture(scope="module")
@@ -185,3 +187,24 @@ def test_a_day_has_all_tasks_with_what_robots_did_for_them(url: str) -> None:
     assert (task["title"], task["code"], task["plans"]) == ("(and (at parcel1 hall) (at parcel2 kitchen))", "goal_reached", 2)
     assert task["ended"] - task["accepted"] == task["seconds"] > 0.0
     assert set(task["busy"]) == {"r1", "r2"}
+
+
+@pytest.mark.parametrize(("path", "reads"), [("/metrics", "metrics.Metrics.text"), ("/day", "app.day_of")])
+def test_who_has_a_whole_journal_read_keeps_nobody_from_the_page(
+    path: str, reads: str, delivery: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    begun, goes_on = threading.Event(), threading.Event()
+
+    def read(*_: object) -> str:
+        begun.set()
+        goes_on.wait(LIMIT)
+        return ""
+
+    monkeypatch.setattr(f"planner_bridge.view.{reads}", read)
+    with page_of(delivery) as url, ThreadPoolExecutor(40) as others:
+        waiting = [others.submit(asked, url, path) for _ in range(40)]  # more than the threads of the page
+        begun.wait(LIMIT)
+        status = asked(url, "/state?at=5")[0]
+        assert (status, any(one.done() for one in waiting)) == (200, False)
+        goes_on.set()
+        assert {one.result()[0] for one in waiting} == {200}
