@@ -6,16 +6,19 @@ import json
 from collections.abc import Iterator
 from contextlib import closing
 from typing import Any, BinaryIO, Final, NamedTuple
+from uuid import UUID
 
 from planner_bridge.tasks.result import TASKS
 from planner_bridge.view.spans import LONG, Spans
-from pnm.core.machine.requests import OutcomeKind
+from pnm.core.execution.call_results import Sent
+from pnm.core.machine.requests import Accepted, Ended, Feedback, OutcomeKind
 from pnm.errors import not_installed, printable
 from pnm.files.database.place import Place
 from pnm.journal import records
 from pnm.journal.replay import words
 from pnm.journal.resume import steps_after
 from pnm.journal.store import KeptJournal
+from pnm.tasks import Wanted
 
 _SHOWN: Final = 30
 """Tasks, and robots, that the layout shows at most."""
@@ -94,12 +97,13 @@ def messages(kept: KeptJournal) -> Iterator[Message]:
                 "line": step.number,
             },
         )
-        for task in story.tasks.values():
+        changed = _changed(step.record)
+        for task in (story.tasks[id] for id in changed if id in story.tasks):
             id, state = str(task.accepted.wanted.id), (task.ending.code.word if task.ending else task.state.word, task.reason)
             if states.get(id) != state:
                 states[id] = state
                 yield Message("tasks", time, {"id": id, "goal": _text(task.name), "state": state[0], "reason": _text(state[1])})
-        for request, attempt in story.attempts.items():
+        for request, attempt in ((id, story.attempts[id]) for id in changed if id in story.attempts):
             outcome, run = attempt.outcome, story.runs.get(attempt.sender)
             is_here = outcome is None or outcome.kind is not OutcomeKind.SUCCEEDED
             doing = outcome.kind.value if outcome else "accepted" if attempt.accepted is not None else "sent"
@@ -121,6 +125,19 @@ def messages(kept: KeptJournal) -> Iterator[Message]:
                     "message": _text(now[1]),
                 },
             )
+
+
+def _changed(record: records.Record) -> dict[UUID, None]:
+    """Return the tasks and requests that a record may change, in the order of their beginnings."""
+    match record:
+        case records.TaskAccepted(Wanted(id=id)) | records.TaskEntered(id) | records.TaskOver(id):
+            return {id: None}
+        case records.Happened(event=Accepted(id) | Feedback(id) | Ended(id), told=told):
+            return dict.fromkeys((id, *(one.request for one in told if isinstance(one, Sent))))
+        case records.Happened(told=told):
+            return dict.fromkeys(one.request for one in told if isinstance(one, Sent))
+        case _:
+            return {}
 
 
 def _text(text: str) -> str:
