@@ -140,6 +140,12 @@ class Spans(Story):
         found, self._ended = self._ended, []
         return found
 
+    def every(self) -> list[Span]:
+        """Return the spans that have ended since that was asked last, and the others as if they ended with the journal."""
+        now, goes_on = self.wall(self.time) or 0.0, [span for span in self.spans() if span.ended is None]
+        so_far = (replace(span, ended=max(span.began, now), attributes={**span.attributes, "pnm.goes_on": True}) for span in goes_on)
+        return [*self.ended(), *so_far]
+
     def last(self) -> int:
         """Return the number of the last record that is there."""
         return self._kept.last()
@@ -238,12 +244,6 @@ class Spans(Story):
         end = None if ended is None else max(began, ended)
         return Span(kind, task.accepted.wanted.id, id, parent, _short(name), began, end, attributes, walls, _short(failed))
 
-    def so_far(self, span: Span) -> Span:
-        """Return a span as if it ended with the journal, if it goes on."""
-        if span.ended is not None:
-            return span
-        return replace(span, ended=max(span.began, self.wall(self.time) or 0.0), attributes={**span.attributes, "pnm.goes_on": True})
-
     def wall(self, time: float | None) -> float | None:
         """Return the time of day of a time on the clock of the journal: at the moment of a take-over that before it."""
         return None if time is None else time + self._clocks[max(0, bisect_left(self._clocks, (time,)) - 1)][1]
@@ -341,7 +341,7 @@ def export(place: Place, send: Send, *, follows: bool, pause: Callable[[float], 
     count, waiting = 0, list[Span]()
     with closing(Reader(place, tells=Spans)) as reader:
         while True:
-            waiting += reader.now(Spans.ended if follows else lambda story: [story.so_far(span) for span in story.spans()])
+            waiting += reader.now(Spans.ended if follows else Spans.every)
             while waiting:
                 spans = list(map(readable, waiting[:_BATCH]))
                 for tried in range(1, _TRIES + 1):

@@ -5,24 +5,27 @@ from __future__ import annotations
 import json
 from collections import Counter
 from collections.abc import Iterator, Sequence
+from contextlib import closing
 from itertools import pairwise
 from pathlib import Path
+from unittest import mock
 
 import pytest
 from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 from opentelemetry.sdk.trace import ReadableSpan
-from opentelemetry.sdk.trace.export import SpanExportResult
 from opentelemetry.sdk.trace.export.in_memory_span_exporter import InMemorySpanExporter
 from prometheus_client.parser import text_string_to_metric_families
 
 from planner_bridge.explanations.history import JournalHistory
 from planner_bridge.tasks.result import TASKS
 from planner_bridge.view.follow import Reader
+from planner_bridge.view.recording import messages
 from planner_bridge.view.spans import Span, Spans, export
 from pnm.errors import PnmError
 from pnm.journal import journal as journal_module
 from pnm.journal.resume import summaries
+from pnm.journal.store import KeptJournal
 from tests.support.e2e.command_line import pnm
 from tests.support.e2e.page.journals import GrowingJournal
 from tests.support.e2e.page.serving import asked, page_of
@@ -113,29 +116,24 @@ def test_what_a_person_has_answered_is_an_event_of_the_plan(tmp_path: Path) -> N
 
 def test_the_sdk_gets_spans_as_it_makes_them_itself(delivery: Path) -> None:
     exporter = InMemorySpanExporter()
-
-    def send(spans: Sequence[ReadableSpan]) -> str:
-        return "" if exporter.export(spans) is SpanExportResult.SUCCESS else "it is shut down"
-
-    count = export(delivery, send, follows=False)
+    count = export(delivery, lambda spans: exporter.export(spans).name.removeprefix("SUCCESS"), follows=False)
     got = exporter.get_finished_spans()
     assert len(got) == count == len(ended(delivery))
     (top,) = (span for span in got if span.parent is None)
     assert {span.context.trace_id for span in got if span.context} == {top.context and top.context.trace_id}
     assert all(json.loads(span.to_json())["start_time"] <= json.loads(span.to_json())["end_time"] for span in got)
     exporter.shutdown()
-    pauses: list[float] = []
-    with pytest.raises(PnmError, match="spans not sent: it is shut down"):
-        export(delivery, send, follows=False, pause=pauses.append)
+    pauses = list[float]()
+    with pytest.raises(PnmError, match="spans not sent: FAILURE"):
+        export(delivery, lambda spans: exporter.export(spans).name, follows=False, pause=pauses.append)
     assert len(pauses) == 4, "it was tried again, and not for ever"
 
 
 def test_a_followed_journal_is_sent_as_it_grows_and_nothing_twice(growing: GrowingJournal) -> None:
-    sent: list[str] = []
+    sent, lengths = list[str](), list[int]()
 
     def send(spans: Sequence[ReadableSpan]) -> str:
-        sent.extend(span.name for span in spans)
-        return ""
+        return sent.extend(span.name for span in spans) or ""  # type: ignore[func-returns-value]
 
     def pause(seconds: float) -> None:
         if growing.length == growing.longest:
@@ -143,12 +141,20 @@ def test_a_followed_journal_is_sent_as_it_grows_and_nothing_twice(growing: Growi
         lengths.append(len(sent))
         growing.grow(min(growing.length + 20, growing.longest))
 
-    lengths: list[int] = []
     growing.grow(10)
     with pytest.raises(KeyboardInterrupt):
         export(growing.place, send, follows=True, pause=pause)
     assert sorted(sent) == sorted(span.name for span in ended(growing.place))
     assert any(before < after < len(sent) for before, after in pairwise(lengths)), "not all came at the end"
+
+
+def test_all_is_sent_of_a_journal_whose_first_segments_nobody_shows_any_more(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(journal_module, "_LONG", 1)
+    run_deaths(12, tmp_path)
+    exporter = InMemorySpanExporter()
+    export(tmp_path / "journal", lambda spans: exporter.export(spans).name.removeprefix("SUCCESS"), follows=False)
+    traces = {span.context.trace_id for span in exporter.get_finished_spans() if span.context}
+    assert traces == {summary.accepted.wanted.id.int for summary in summaries(tmp_path / "journal", TASKS)}
 
 
 COLLECTOR = """
@@ -248,7 +254,7 @@ def test_numbers_count_on_over_segments_that_are_forgotten(tmp_path: Path, monke
     run_deaths(12, tmp_path)
     with page_of(tmp_path / "journal") as url:
         text = asked(url, "/metrics")[2]
-    families = {family.name: family for family in text_string_to_metric_families(text)}
+    families = {one.name: one for one in text_string_to_metric_families(text)}
     listed = Counter(summary.ending.code.word for summary in summaries(tmp_path / "journal", TASKS) if summary.ending)
     assert {sample.labels["code"]: sample.value for sample in families["pnm_tasks_over"].samples if sample.name.endswith("total")} == listed
 
@@ -276,3 +282,19 @@ def test_a_journal_as_mcap_is_read_by_others(delivery: Path, tmp_path: Path) -> 
     assert '/pnm/requests{robot=="r1"}.action' in shown
     assert [one for one in json.dumps(layout["layout"]).split('"') if "!" in one] == [*layout["configById"]]
     assert pnm("telemetry", str(delivery), "--mcap", str(tmp_path / "run.mcap")).returncode == 2, "nothing is overwritten"
+
+
+@pytest.mark.parametrize("number", [0, 12])
+def test_a_recording_says_what_became_of_every_task_and_every_request_and_says_it_once(number: int, tmp_path: Path) -> None:
+    run_deaths(number, tmp_path)
+    history, said = JournalHistory.read(tmp_path / "journal"), dict[str, object]()
+    with closing(KeptJournal(tmp_path / "journal")) as kept:
+        for _, _, fields in (one for one in messages(kept) if one.topic != "log"):
+            now = fields["state"], fields.get("reason"), fields.get("message")
+            assert said.get(fields["id"]) != now
+            said[fields["id"]] = now
+    for id, task in history.tasks.items():
+        assert said[str(id)] == (task.ending.code.word if task.ending else task.state.word, task.reason, None)
+    for id, one in history.attempts.items():
+        state = one.outcome.kind.value if one.outcome else "sent" if one.accepted is None else "accepted"
+        assert said[str(id)] == (state, None, one.feedback if state in ("sent", "accepted") else mock.ANY)
