@@ -67,18 +67,19 @@ async def test_the_other_calls_of_a_task_go_on(simulation: TaskSimulation):
     await simulation.reaches(task)
 
 
+@pytest.mark.parametrize(("text", "is_plan"), [("(and (at r0 a1) (at r1 a2))", False), ("(move r0 a0 a1)\n(move r1 a1 a2)", True)])
 @simulated()
 async def test_what_a_task_waits_for_is_said_when_the_cancellation_is_confirmed_late(
-    simulation: TaskSimulation, monkeypatch: pytest.MonkeyPatch
+    simulation: TaskSimulation, monkeypatch: pytest.MonkeyPatch, text: str, is_plan: bool
 ):
-    task = await simulation.begun("(and (at r0 a2) (at r1 a3))")
+    task = await simulation.begun(text, is_plan=is_plan)
     await simulation.sees(task, "sent", "r1")
     robots, later = simulation.backend.robots, asyncio.get_running_loop().call_later
     with monkeypatch.context() as patch:
         patch.setattr(robots, "cancel", lambda request, at_once=robots.cancel: later(0.5, at_once, request))
         assert await simulation.master.take("r0") == ""
-    await simulation.until(lambda: simulation.holds("(at r1 a3)"))
-    assert reason(simulation, task).startswith("waits: r0 is in")
+    await simulation.until(lambda: reason(simulation, task).startswith("waits: r0 is in"))
+    assert not simulation.holds("(at r1 a2)"), "it is said before anything else makes somebody look at the task again"
     await simulation.master.give("r0")
     await simulation.reaches(task)
 
