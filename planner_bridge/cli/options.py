@@ -361,7 +361,7 @@ def certificate_text(machine: PetriNetMachine) -> str:
     from pnm.files import check_certificate
 
     made_by = {"petri-net-machines": version("petri-net-machines"), "python": sys.version.split()[0]}
-    data = {"format": check_certificate.FORMAT, "made_by": made_by, "property": check_certificate.PROVED, **certified(machine)}
+    data = {"format": check_certificate.FORMAT, "made_by": made_by, "property": check_certificate.PROPERTY, **certified(machine)}
     text = json.dumps({**data, "hash": check_certificate.hash_of(data)}, indent=1) + "\n"
     try:
         check_certificate.check(text)  # so that nobody gets one that is of no use

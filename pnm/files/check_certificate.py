@@ -1,14 +1,7 @@
 """Proves a certificate of `pnm net --certificate` again, from the file alone: of this project, and of any other, it imports nothing.
 
-`python3 check_certificate.py FILE` ends with 0 if it is proved, else with 1 and why. Whatever the world answers, and whenever it stops it:
-- the machine comes to an end, if it is paused finitely often, and never gets stuck before;
-- it ends with one token, on the goal place or on the failed place, all others empty but counters, failure marks and free resources;
-- no other place ever holds two tokens, and places keep every ordering of the plan;
-- at the end each request has ended or was given up, after it was to be cancelled and with a failure mark if nobody asked for a stop;
-- none is sent while another of its call is alive and not given up, or before it is asked whether the run is ending;
-- the goal place is marked only by a rule that asks for the goal, after one that opens once a failure is marked.
-Each step is explored by itself; that its inputs come follows from the order of the steps. Guards open at any moment, but reports come for
-live requests only. *Not* checked is whether conditions, limits, retries and `protects` are those of the plan, and other failures marked.
+`python3 check_certificate.py FILE` ends with 0 if its `PROPERTY` is proved, else with 1 and why. Each step is explored by itself; that its
+inputs come follows from the order of the steps. Guards open at any moment, but reports come for live requests only.
 """
 
 from __future__ import annotations
@@ -23,7 +16,16 @@ from pathlib import Path
 from typing import Any
 
 FORMAT, MOST = 1, 20_000  # MOST: states of one step
-PROVED = (__doc__ or "").partition(":\n- ")[2].partition(".\n")[0].split(";\n- ")
+PROPERTY = [  # whatever the world answers, and whenever it stops the run
+    "the machine comes to an end, if it is paused finitely often, and never gets stuck before",
+    "it ends with one token, on the goal place or on the failed place, all others empty but counters, failure marks and free resources",
+    "no other place ever holds two tokens, and places keep every ordering of the plan",
+    "at the end each request has ended or was given up, after it was to be cancelled and with a failure mark if nobody asked for a stop",
+    "none is sent while another of its call is alive and not given up, or before it is asked whether the run is ending",
+    "the goal place is marked only by a rule that asks for the goal, after one that opens once a failure is marked",
+    "not proved: that conditions, time limits, numbers of attempts, resources and recoveries are those of actions, bindings and plan",
+    "not proved: that every failure is marked, that orderings are enough for what they protect, or that the plan is one for its goal",
+]
 KINDS = {"succeeded", "aborted", "aborted_for_good", "canceled", "rejected", "timed_out", "unavailable", "lost"}  # ends of a request
 ALIVE = ("alive", "canceled", "stopped")  # states of a request; the others are "none" and "offered", by another run; ACTIONS change it
 ACTIONS: dict[str | None, tuple[str, ...]] = {"SEND": ("none", "alive"), "ADOPT": ("offered", "alive"), "CANCEL": ("alive", "canceled")}
@@ -145,10 +147,8 @@ class Net:
                 require(len(place) == 1 or (place and guard["kind"] in ("Always", "Due", *MOODS)), f"{name!r} asks at no or many places")
                 if goal in self.gives[name]:
                     require(owner is None and guard == asked and "Failing" in kinds, f"{name!r} marks the goal without asking for it")
-                require(
-                    ACTIONS[self.transitions[name]["action"]] != ACTIONS["SEND"] or "Ending" in kinds,
-                    f"{name!r} sends while the run is ending",
-                )
+                sends = ACTIONS[self.transitions[name]["action"]] == ACTIONS["SEND"]
+                require(not sends or "Ending" in kinds, f"{name!r} sends while the run is ending")
 
     def explore(self, owner: int | None, *, repeated: bool) -> tuple[int, set[int]]:
         """Walk through every state of a step; return their number, and which regions that it holds may be entered again."""
@@ -273,7 +273,7 @@ def check(text: str) -> str:
     """Prove a certificate again and return what was proved; raise `NotProved`."""
     try:
         data = json.loads(text)
-        require(isinstance(data, dict) and (data["format"], data["property"]) == (FORMAT, PROVED), "its format or property is another")
+        require(isinstance(data, dict) and (data["format"], data["property"]) == (FORMAT, PROPERTY), "its format or property is another")
         require(hash_of(data) == data["hash"] and json.dumps(data, indent=1) + "\n" == text, "the file was changed: its hash is another")
         net = Net(data)
         for part in (net.check_structure, net.check_order, net.check_rules):
@@ -282,8 +282,7 @@ def check(text: str) -> str:
         for owner, repeated in waiting:
             count, again = net.explore(owner, repeated=repeated and owner is not None)
             states += count
-            for number, region in enumerate(net.held[owner]):
-                waiting += [(step, repeated or number in again) for step in region["steps"]]
+            waiting += [(step, repeated or number in again) for number, region in enumerate(net.held[owner]) for step in region["steps"]]
         require({owner for owner, _ in waiting} == {None, *net.region_of}, "there are steps that nothing ever enters")
     except CycleError as error:
         raise NotProved(f"it may go round for ever, or steps wait for each other: {str(error.args[1][0])[:80]}") from None

@@ -19,7 +19,7 @@ from planner_bridge.cli.options import certificate_text
 from pnm.core.machine.machine import PetriNetMachine
 from pnm.core.pictures.export import certified
 from pnm.files import check_certificate
-from pnm.files.check_certificate import PROVED, NotProved, check, hash_of
+from pnm.files.check_certificate import PROPERTY, NotProved, check, hash_of
 from tests.support.runs.mutation.edits import mutant
 from tests.support.runs.mutation.gate import is_proved
 from tests.support.runs.mutation.machines import random_machine
@@ -54,7 +54,8 @@ def test_the_checker_is_a_program_of_its_own(tmp_path: Path) -> None:
     assert (usage.returncode, usage.stderr) == (1, "usage: python3 check_certificate.py FILE\n")
     for contents, status in ((text, 0), (text.replace('"tokens": 1', '"tokens": 2', 1), 1), ("{}", 1), ("[" * 99_999, 1)):
         file.write_text(contents, encoding="utf-8")
-        done = subprocess.run([sys.executable, "-I", "-S", str(program), str(file)], capture_output=True, text=True, cwd=tmp_path)
+        run = [sys.executable, "-I", "-S", "-OO", str(program), str(file)]  # without docstrings and assertions, too
+        done = subprocess.run(run, capture_output=True, text=True, cwd=tmp_path)
         assert done.returncode == status, done.stderr
         assert (done.stdout if status == 0 else done.stderr).startswith("proved again: " if status == 0 else "not proved: ")
 
@@ -118,7 +119,7 @@ def broken(data: dict[str, Any], random: Random) -> str:
 def test_a_broken_net_is_noticed_although_its_hash_is_right() -> None:
     for seed in range(250):
         random = Random(seed)
-        data = {"format": 1, "property": PROVED, **certified(random_machine(random.randrange(40)))}
+        data = {"format": 1, "property": PROPERTY, **certified(random_machine(random.randrange(40)))}
         done = broken(data, random)
         assert not holds(with_hash(data)), f"seed {seed}: {done}"
 
@@ -127,7 +128,7 @@ def entered_by_nobody() -> dict[str, Any]:
     """A certificate whose frame goes straight to its end, and two steps that hold each other."""
     machines = map(random_machine, range(100))
     machine = next(one for one in machines if len(one.plan.every_step) == 1 and "resource" not in map(one.role, one.net.places))
-    data: dict[str, Any] = {"format": 1, "property": PROVED, **certified(machine)}
+    data: dict[str, Any] = {"format": 1, "property": PROPERTY, **certified(machine)}
     (region,) = data["regions"]
     (first,), (last,) = region["first"], region["last"]
     frame = {one["name"] for one in data["transitions"] if one["call"] is None}
@@ -162,7 +163,7 @@ def test_steps_that_nothing_enters_are_noticed() -> None:
 
 
 def test_a_region_that_holds_its_own_owner_is_noticed() -> None:
-    data: dict[str, Any] = {"format": 1, "property": PROVED, **certified(random_machine(7))}
+    data: dict[str, Any] = {"format": 1, "property": PROPERTY, **certified(random_machine(7))}
     data["regions"][0]["owner"] = data["regions"][0]["steps"][0]
     with pytest.raises(NotProved, match="or itself"):
         check(with_hash(data))
@@ -176,7 +177,7 @@ def without(data: dict[str, Any], names: set[str]) -> dict[str, Any]:
 
 @pytest.mark.parametrize("state", ["requested", "running", "overdue"])
 def test_a_request_whose_reports_nothing_takes_is_noticed(state: str) -> None:
-    data: dict[str, Any] = {"format": 1, "property": PROVED, **certified(random_machine(7))}
+    data: dict[str, Any] = {"format": 1, "property": PROPERTY, **certified(random_machine(7))}
     exits = {one["target"] for one in data["arcs"] if one["source"] == f"a1()#1 {state}"}
     ends = {one["name"] for one in data["transitions"] if one["name"] in exits and one["guard"]["kind"] == "Ends"}
     assert ends
@@ -219,7 +220,7 @@ def claims_more(data: dict[str, Any]) -> None:
 
 @pytest.mark.parametrize("change", [gives_up_at_once, never_cancels, marks_nothing, does_something_else, has_no_calls, claims_more])
 def test_what_a_certificate_says_of_itself_is_not_believed(change: Callable[[dict[str, Any]], None]) -> None:
-    data: dict[str, Any] = {"format": 1, "property": PROVED, **certified(random_machine(7))}
+    data: dict[str, Any] = {"format": 1, "property": PROPERTY, **certified(random_machine(7))}
     assert holds(with_hash(data))
     change(data)
     assert not holds(with_hash(data))
@@ -227,7 +228,7 @@ def test_what_a_certificate_says_of_itself_is_not_believed(change: Callable[[dic
 
 def of_mutant(machine: PetriNetMachine) -> str:
     try:
-        return with_hash({"format": 1, "property": PROVED, **certified(machine)})
+        return with_hash({"format": 1, "property": PROPERTY, **certified(machine)})
     except KeyError:  # it cannot be written
         return ""
 
