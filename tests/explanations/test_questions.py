@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from importlib.util import find_spec
 
 import pytest
 
@@ -15,7 +14,6 @@ from tests.support.pddl.explanations.doors import house
 from tests.support.pddl.explanations.questions import ask, domains, read
 from tests.support.pddl.problems import matches
 
-pytestmark = pytest.mark.skipif(find_spec("up_fast_downward") is None, reason="the second planner is not installed")
 DOMAINS = domains()
 
 

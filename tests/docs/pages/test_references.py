@@ -13,6 +13,8 @@ from pathlib import Path
 import pytest
 import yaml
 from click.testing import CliRunner
+from geometry_msgs.msg import PoseWithCovarianceStamped
+from porter_msgs.action import NavigateToPose
 
 from planner_bridge.cli.commands import app
 from planner_bridge.node.options import PARAMETERS
@@ -86,15 +88,11 @@ def test_the_bindings_that_are_shown_are_read(tmp_path: Path) -> None:
 
 
 def test_the_files_of_the_page_about_nav2_fit_types_of_its_shape(tmp_path: Path) -> None:
-    goal, pose = (
-        pytest.importorskip("porter_msgs.action").NavigateToPose,
-        pytest.importorskip("geometry_msgs.msg").PoseWithCovarianceStamped,
-    )
     files = {name: written(tmp_path / name, body) for name, body in files_of(text("guides/nav2.md")).items()}
     problem = load(files["domain.pddl"], files["problem.pddl"])
-    assert fitted_binding(read_bindings(files["bindings.yaml"], problem.vocabulary).of("navigate_to_pose"), goal)
+    assert fitted_binding(read_bindings(files["bindings.yaml"], problem.vocabulary).of("navigate_to_pose"), NavigateToPose)
     (sensor,) = instances(read_sensing(files["sensing.yaml"], problem.vocabulary), {})
-    (reports,) = (fitted(one, pose) for one in read_sensing(files["sensing.yaml"]).sensors)
+    (reports,) = (fitted(one, PoseWithCovarianceStamped) for one in read_sensing(files["sensing.yaml"]).sensors)
     assert len(reports.statements) == len(problem.objects)
     table = yaml.safe_load(files["bindings.yaml"].read_text())["actions"]["navigate_to_pose"]["goal"]["pose"]["table"]
     for place, stamped in table.items():

@@ -11,12 +11,14 @@ from uuid import UUID
 import pytest
 from pyrobosim.planning.actions import ExecutionResult
 
-from planner_bridge.pipeline.goal_handle import GoalHandle
+from planner_bridge.model.grounding import initial_knowledge
 from planner_bridge.tasks.result import Stopwatch, TaskResult
 from planner_bridge.tasks.settings import Settings, TaskObserver
 from planner_bridge.tasks.task_manager import TaskManager
 from pnm.clock import run_async
 from pnm.core.machine.requests import Ended, Outcome, OutcomeKind, Reporter, Request
+from pnm.language.runner import PlanRunner
+from pnm.tasks import Wanted
 from tests.support.e2e.household.in_process import SimulatorBackend, problem_of
 from tests.support.e2e.household.simulator import asked, has_reached, load_world, perform, without_waiting
 
@@ -68,14 +70,17 @@ class Watched(SimulatorBackend):
 
 def pursued(backend: Watched, seed: int) -> TaskResult:
     async def both() -> TaskResult:
-        handle = GoalHandle(backend, backend.problem, Settings(bindings=backend.bindings), TaskObserver(), Stopwatch()).begin()
-        while handle._manager is None:  # noqa: ASYNC110  # nobody says when it is there
-            await asyncio.sleep(0.0)
-        person = asyncio.create_task(backend.interfere(handle._manager, random.Random(f"{seed}/hands")))
-        await asyncio.wait([person, ended := asyncio.ensure_future(handle)], return_when=asyncio.FIRST_COMPLETED)
+        problem, world = backend.problem, initial_knowledge(backend.problem)
+        await backend.open(world)
+        runner, settings = PlanRunner({}, backend, world, None), Settings(bindings=backend.bindings)
+        tasks = TaskManager(problem, runner, settings, lambda _: problem.goal)
+        ended = asyncio.ensure_future(tasks.run(Wanted(UUID(int=1), ""), TaskObserver(), Stopwatch()))
+        person = asyncio.create_task(backend.interfere(tasks, random.Random(f"{seed}/hands")))
+        await asyncio.wait([person, ended], return_when=asyncio.FIRST_COMPLETED)
         if person.done():
             await person
         person.cancel()
+        await backend.close()
         return await ended
 
     with without_waiting():

@@ -24,7 +24,8 @@ from tests.support.tasks.scenarios.random_scenarios import run_scenario
 def pm4py() -> ModuleType:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # its licence is AGPL-3.0, which it says
-        return pytest.importorskip("pm4py")
+        import pm4py as library
+    return library
 
 
 def read_by(pm4py: ModuleType, text: str, folder: Path) -> list[dict[str, Any]]:

@@ -9,6 +9,7 @@ from random import Random
 
 import numpy as np
 import pytest
+import stormpy
 from hypothesis import given, settings, strategies as st
 
 from planner_bridge.model.grounding import initial_knowledge
@@ -114,7 +115,6 @@ def test_the_chance_of_200_calls_is_that_of_the_linear_equations_of_their_chain(
 
 
 def test_the_chance_of_200_calls_is_that_of_a_model_checker(tmp_path: Path) -> None:
-    storm = pytest.importorskip("stormpy")
     plan = series(200, 2)
     moves = chain(*plan)
     goal = max(state for state, _, _ in moves) + 1
@@ -126,8 +126,8 @@ def test_the_chance_of_200_calls_is_that_of_a_model_checker(tmp_path: Path) -> N
         lines += [f"\t\t{after} : {chance!r}" for before, after, chance in moves if before == state]
     file = tmp_path / "chain.drn"
     file.write_text("\n".join((*lines, "")))
-    model = storm.build_model_from_drn(str(file))
-    result = storm.model_checking(model, storm.parse_properties('P=? [F "goal"]')[0])
+    model = stormpy.build_model_from_drn(str(file))
+    result = stormpy.model_checking(model, stormpy.parse_properties('P=? [F "goal"]')[0])
     assert odds_of(*plan).chance == pytest.approx(result.get_value(model.initial_states[0]), abs=1e-9)
 
 

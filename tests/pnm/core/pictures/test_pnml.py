@@ -11,6 +11,7 @@ from typing import Any
 import pytest
 from hypothesis import given, settings
 from hypothesis.strategies import integers
+from stormpy import gspn
 
 from pnm.core.execution.events import Fired, Observer
 from pnm.core.execution.run import Run
@@ -116,7 +117,8 @@ def test_damaged_files_are_refused_in_sentences_or_are_nets() -> None:
 def pm4py() -> ModuleType:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # it says its licence (AGPL-3.0), and what other libraries no longer like of it
-        return pytest.importorskip("pm4py")
+        import pm4py as library
+    return library
 
 
 def read_by(pm4py: ModuleType, machine: PetriNetMachine, folder: Path) -> tuple[Any, Any]:
@@ -179,7 +181,6 @@ def test_pm4py_replays_ten_random_runs_of_a_machine_with_fitness_one(pm4py: Modu
 
 def test_storm_reads_the_same_net_once_its_transitions_have_rates(tmp_path: Path) -> None:
     """Its PNML is that of stochastic nets: it refuses transitions of which nothing says whether and how fast they are timed."""
-    gspn = pytest.importorskip("stormpy.gspn")
     machine, file = random_machine(7), tmp_path / "net.pnml"
     text = to_pnml(as_data(machine))
     file.write_text(text, encoding="utf-8")
