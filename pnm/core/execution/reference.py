@@ -252,8 +252,8 @@ class ReferenceRun:
                 continue  # while an answer is awaited that may open an earlier transition, no later one fires but those of time
             is_undecided = True
             try:
-                is_put_off = (self.pause and not self.is_stepping) or self._in_hands(rule.call, rule.action, place)
-                if is_put_off and (takes or rule.action is requests.TransitionAction.SEND):
+                begins = takes or rule.action is requests.TransitionAction.SEND
+                if begins and ((self.pause and not self.is_stepping) or self._in_hands(rule.call, rule.action, place)):
                     break  # until the run is resumed, or a person gives back what the call needs
                 if takes and rule.call is not None and not self.claims.are_free(place, self._claim(rule.call, rule.action, place)):
                     is_in_line = True

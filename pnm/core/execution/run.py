@@ -219,8 +219,8 @@ class Run(RunView):
     def _is_put_off(self, site: Site, firing: Firing, place: int) -> bool:
         """Return whether the transition must wait: for the end of a pause, for a person, or for the resources of its call."""
         state, begins = self._state, firing.takes or firing.action is TransitionAction.SEND
-        is_in_hands = bool(begins and state.hands and self._guards.in_hands(site, firing, place))
-        if not is_in_hands and (not state.pause or state.is_stepping or not begins):  # what is sent goes on
+        is_paused = state.pause is not None and not state.is_stepping
+        if not begins or not (is_paused or self._guards.in_hands(site, firing, place)):  # what is sent goes on; in a pause nobody is asked
             return firing.takes and not self._guards.has_resources(site, firing, place)
         self._leave_line(place)
         return True
