@@ -95,7 +95,7 @@ class ReferenceRun:
     is_stepping: bool = False  # one request may be sent although the run is paused
     queue: deque[str] = field(default_factory=deque)  # places to be asked
     undecided: dict[str, None] = field(default_factory=dict)  # places to be asked again, in the order in which they became undecided
-    moments: set[tuple[float, int]] = field(default_factory=set)  # when to ask them again, with their positions in the net
+    moments: dict[str, float] = field(default_factory=dict)  # when to ask them again at the latest
     wake: float = NEVER  # the moment asked for last
     since: dict[str, float] = field(default_factory=dict)  # by transition, since when its guard would be open but for a delay
     alive: dict[UUID, int] = field(default_factory=dict)  # requests that are not over, as far as is known, and their calls
@@ -155,9 +155,9 @@ class ReferenceRun:
             case events.ResourcesChanged():
                 self.queue += self.claims.served()
             case events.Tick():
-                due = sorted(moment for moment in self.moments if moment[0] <= self.now)
-                self.moments, self.wake = self.moments.difference(due), NEVER
-                self.queue += [self.machine.net.places[position] for _, position in due]
+                places = [place for place in self.machine.net.places if self.moments.get(place, NEVER) <= self.now]
+                self.queue += sorted(places, key=self.moments.pop)
+                self.wake = NEVER
             case events.Answered(identity, value, message):
                 place = self.questions.answered(identity, value, message)
                 self.queue += [] if place is None else [place]
@@ -232,7 +232,7 @@ class ReferenceRun:
                 self._report(self.operated.popleft())
             elif self.marking[place := self.queue.popleft()]:
                 self._decide(place)
-        if self.moments and not self.is_over and (moment := min(self.moments)[0]) < self.wake:
+        if self.moments and not self.is_over and (moment := min(self.moments.values())) < self.wake:
             self.wake = moment
             self.commands.append(events.Wake(moment))
 
@@ -274,12 +274,12 @@ class ReferenceRun:
                 need = self.questions.need(place, subject_of(self.machine.plan, rule.call), needed.question, self.now, self.identity)
                 self.commands += need.commands
                 self.queue += [place] if need.until is None else []  # it is answered, if only with nothing
-                self.moments.add((NEVER if need.until is None else need.until, self.machine.net.places.index(place)))
+                moment = moment if need.until is None else min(moment, need.until)
         if not is_in_line and self.claims.leave(place):  # others need not wait behind what waits for something else, such as an answer
             self.queue += self.claims.served()
         if is_undecided:
             self.undecided.setdefault(place)
-        self.moments.add((moment, self.machine.net.places.index(place)))
+        self.moments[place] = min(moment, self.moments.get(place, NEVER))
 
     def _fire(self, transition: str, place: str | None) -> None:
         """Carry out the action of a transition and move the tokens. Its place is the one that it was asked at; a report has none."""
@@ -300,6 +300,7 @@ class ReferenceRun:
             self.queue += self.claims.served()
         for left in taken:  # the next token there is decided anew
             self.undecided.pop(left, None)
+            self.moments.pop(left, None)
             if self.claims.leave(left):  # others may have the resources now
                 self.queue += self.claims.served()
             for asked in self.asked_at[left]:

@@ -24,7 +24,7 @@ from pnm.core.net.block_net import Engine
 from pnm.errors import RunError
 
 _LEFT: Final = 16
-"""How many timers of places that tokens have left are looked at again at most, beside one for each of the others."""
+"""How many timers of places that tokens have left are kept at most, beside one for each of the others."""
 
 
 class Agenda(KeptState):
@@ -104,7 +104,7 @@ class Agenda(KeptState):
         if time < self._set.get(place, inf):
             self._set[place] = time
             heappush(self._timers, (time, place))
-            if len(self._timers) > _LEFT + 2 * len(self._set):  # what was left is no reason to wake, but does no harm
+            if len(self._timers) > _LEFT + 2 * len(self._set):
                 self._timers = [entry for entry in self._timers if self._set.get(entry[1]) == entry[0]]
                 heapify(self._timers)
 
@@ -154,7 +154,7 @@ class Agenda(KeptState):
             time, place = heappop(self._timers)
             if self._set.get(place) == time:
                 del self._set[place]
-            self.places.append(place)
+                self.places.append(place)
 
     def ask_for_timer_anew(self) -> None:
         """Note that no timer is set outside any more: the next one has to be asked for even if it is not earlier."""
@@ -167,6 +167,8 @@ class Agenda(KeptState):
 
     def next_timer(self) -> float | None:
         """Return the time of a timer that has to be asked for. A later one than the last needs none: after that it is asked for anew."""
+        while self._timers and self._set.get(self._timers[0][1]) != self._timers[0][0]:
+            heappop(self._timers)  # of a place that a token has left
         if self._timers and self._timers[0][0] < self._wake:
             self._wake = self._timers[0][0]
             return self._wake

@@ -14,6 +14,7 @@ from pnm.actions.simulated_robots import SimulatedRobots, SimulatedWorld
 from pnm.clock import run_async
 from pnm.core.execution.call_requests import Calls
 from pnm.core.execution.events import (
+    Answered,
     Ask,
     Begin,
     Cancel,
@@ -23,12 +24,15 @@ from pnm.core.execution.events import (
     Pause,
     Performed,
     Resume,
+    Send,
     Tick,
+    Wake,
 )
+from pnm.core.execution.questions import LIMITS
 from pnm.core.execution.run import Run
 from pnm.core.execution.run_state import Agenda, RunState
 from pnm.core.knowledge_base import KnowledgeBase, Layered
-from pnm.core.logic.computed_values import Literal, Query
+from pnm.core.logic.computed_values import MISSING, Literal, Query
 from pnm.core.logic.conditions import TRUE, All, Any, Compare, Computed, Condition, Exists, ForAll, Holds, Not
 from pnm.core.logic.effects import Set
 from pnm.core.logic.expressions import Constant, ValueOf, Variable
@@ -77,6 +81,25 @@ def test_what_a_call_needs_is_asked_for_only_where_it_would_begin() -> None:
     run.handle(InHands(("arm",)), 0.0)
     assert any(isinstance(command, Ask) for command in run.handle(Begin(), 0.0))
     assert "asked(?y)#0 join" in [run.machine.net.transitions[number] for number in run.fired]
+
+
+def test_the_moment_of_a_question_that_is_answered_wakes_nobody() -> None:
+    run = _asking()
+    run.handle(Pause(), 0.0)
+    (asked,) = (command for command in run.handle(Begin(), 0.0) if isinstance(command, Ask))
+    (person,) = (command for command in run.handle(Answered(asked.id, MISSING), 0.0) if isinstance(command, Ask))
+    assert run.handle(Answered(person.id, "hall"), 1.0) == []
+    assert run.handle(Tick(), LIMITS[asked.question.layer]) == [], "nothing is waited for but the end of the pause"
+
+
+def test_the_moment_of_a_place_that_its_token_has_left_wakes_nobody() -> None:
+    calls = (ActionCall(0, GroundAction("quick")), ActionCall(1, GroundAction("slow")))
+    bindings = Bindings({"quick": Binding(timeout=30.0), "slow": Binding(timeout=90.0)})
+    run = HeldRun(generate(PlanGraph(calls), bindings), Layered(KnowledgeBase()), bindings=bindings)
+    quick, slow = (command.request.id for command in run.handle(Begin(), 0.0) if isinstance(command, Send))
+    for event in (Accepted(quick), Accepted(slow), Ended(quick, Outcome(OutcomeKind.SUCCEEDED))):
+        run.handle(event, 1.0)
+    assert run.handle(Tick(), 20.0) == [Wake(91.0)], "the limit of the quick one would be over at 31"
 
 
 BROKEN: dict[str, tuple[type, str, Callable[..., object] | property]] = {
