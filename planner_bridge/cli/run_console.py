@@ -8,7 +8,7 @@ import sys
 from collections.abc import Iterable
 from contextlib import ExitStack
 from pathlib import Path
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import TYPE_CHECKING, Final, NamedTuple, TypeAlias
 from uuid import UUID
 
 from planner_bridge.cli.console import INDENT, EventLines, SafeConsole, ToldFailures
@@ -18,12 +18,10 @@ from planner_bridge.node.node_log import NodeObserver, standing_words
 from planner_bridge.tasks.replanning import BetterRest, Foreseen, PlanAgain, ResumePlan, decision_words
 from planner_bridge.tasks.result import PlanResult, TaskResult, Violation
 from planner_bridge.tasks.settings import TaskObserver
-from planner_bridge.tasks.task import passed_limit
 from planner_bridge.view.serving import Operator, PageProcess
 from pnm.core.execution.call_results import Explanation, Failure, RunResult
-from pnm.core.execution.events import Fired
 from pnm.core.machine.machine import PetriNetMachine
-from pnm.core.machine.plan_graph import ActionCall, GroundAction, step_words
+from pnm.core.machine.plan_graph import ActionCall, GroundAction, Step, step_words
 from pnm.core.machine.requests import Outcome, OutcomeKind, Request
 from pnm.core.machine.verification.verify import Proof
 from pnm.errors import Tolerated, counted
@@ -50,6 +48,14 @@ class _News(NamedTuple):
     details: str
 
 
+_Key: TypeAlias = tuple[int, str]
+
+
+def _key(step: Step) -> _Key:
+    """Return the number of a step and its action: calls of a plan that another one calls have the same numbers."""
+    return step.index, step.action.name if isinstance(step, ActionCall) else ""
+
+
 class ConsoleObserver(TaskObserver):
     """Prints a line per event of a task; shows a spinner while it plans, when the output is a terminal.
 
@@ -62,9 +68,9 @@ class ConsoleObserver(TaskObserver):
         is_verbose: whether it prints how large machines are, and how they were proved.
         vetted: has the odds of the first plan, if these are known.
 
-    The mutable state is whether that was printed, the time from which seconds count, the spinner, by the numbers of calls their
-    attempts, what was sent, why they are tried again and what is not printed yet, and what was printed of the failures of each action:
-    the same is not printed again but at the end.
+    The mutable state is whether that was printed, the time from which seconds count, the spinner, by call its attempts, why it is
+    tried again and what is not printed yet, and what was printed of the failures of each action: the same is not printed again but
+    at the end.
     """
 
     def __init__(
@@ -85,10 +91,9 @@ class ConsoleObserver(TaskObserver):
         self._is_verbose = is_verbose
         self._lines = EventLines(console)
         self._waiting = ExitStack()
-        self._attempts: dict[int, int] = {}
-        self._actions: dict[int, GroundAction] = {}
-        self._causes: dict[int, Failure] = {}
-        self._news: dict[int, _News] = {}
+        self._attempts: dict[_Key, int] = {}
+        self._causes: dict[_Key, Failure] = {}
+        self._news: dict[_Key, _News] = {}
         self._printed: set[tuple[str, str]] = set()
 
     def wait(self, text: str) -> None:
@@ -142,7 +147,6 @@ class ConsoleObserver(TaskObserver):
     def generated(self, machine: PetriNetMachine, proof: Proof) -> None:
         """Print that the machine is proved, in which calls have numbers of their own."""
         self._attempts.clear()
-        self._actions.clear()
         self._causes.clear()
         self._waiting.close()
         self._print_robots()
@@ -154,36 +158,33 @@ class ConsoleObserver(TaskObserver):
 
     def sent(self, call: ActionCall, request: Request, now: float) -> None:
         """Print that a call starts, or is tried again and why."""
-        self._attempts[call.index] = request.attempt
-        self._actions[call.index] = request.action
+        self._attempts[_key(call)] = request.attempt
         if request.attempt == 1:
             self._print(now, "[blue]start[/] ", str(call.action))
             return
-        cause = self._causes.pop(call.index, None)
-        self._news.pop(call.index, None)
+        cause = self._causes.pop(_key(call), None)
+        self._news.pop(_key(call), None)
         after = f"{cause.cause}{self._new(call.action, cause.details)}" if cause else "a pause"
         self._print(now, "[yellow]retry[/] ", f"{call.action}: attempt {request.attempt}, after {after}")
 
     def hindered(self, call: ActionCall, cause: Explanation, now: float) -> None:
         """Keep the cause, which is printed with what follows from it: that the call is tried again, or fails; alone if nothing does."""
-        self._causes[call.index] = failure = Failure(call, *cause)
-        if call.index in self._news:
-            self._news[call.index] = self._news[call.index]._replace(cause=str(cause.cause), details=failure.details)
+        self._causes[_key(call)] = failure = Failure(call, *cause)
+        if _key(call) in self._news:
+            self._news[_key(call)] = self._news[_key(call)]._replace(cause=str(cause.cause), details=failure.details)
         else:
             self._wait_for_more(call, _News(now, "[red]wrong[/] ", call.action, str(cause.cause), failure.details))
 
-    def fired(self, fired: Fired, now: float) -> None:
+    def late(self, call: ActionCall, limit: float, now: float) -> None:
         """Print that a call has passed its limit, unless it ends as soon as it is cancelled: how it ends is printed when that is known."""
-        if (passed := passed_limit(fired)) is not None and passed[0] in self._actions:
-            call, limit = passed
-            cause = f"it has not ended within {limit:g} s, and is being cancelled"
-            news = self._news[call] = _News(now, "[yellow]late[/]  ", self._actions[call], cause, "")
+        cause = f"it has not ended within {limit:g} s, and is being cancelled"
+        news = self._news[_key(call)] = _News(now, "[yellow]late[/]  ", call.action, cause, "")
 
-            def print_late() -> None:
-                if self._news.get(call) is news:  # nothing has followed yet
-                    self._print_news()
+        def print_late() -> None:
+            if self._news.get(_key(call)) is news:  # nothing has followed yet
+                self._print_news()
 
-            asyncio.get_running_loop().call_later(_SOON, print_late)
+        asyncio.get_running_loop().call_later(_SOON, print_late)
 
     def spared(self, call: ActionCall, now: float) -> None:
         """Print that a call is not needed."""
@@ -192,7 +193,7 @@ class ConsoleObserver(TaskObserver):
     def ended(self, call: ActionCall, outcome: Outcome, now: float) -> None:
         """Print how a request ended; of one without success together with what follows."""
         if outcome.kind is OutcomeKind.SUCCEEDED:
-            self._news.pop(call.index, None)
+            self._news.pop(_key(call), None)
             self._print(now, "[green]done[/]  ", str(call.action.operation or call.action))
         else:
             self._wait_for_more(call, _News(now, "[red]ended[/] ", call.action, outcome.kind.value, outcome.message))
@@ -204,8 +205,8 @@ class ConsoleObserver(TaskObserver):
     def failed(self, failure: Failure, now: float) -> None:
         """Print that a failure place is marked."""
         step = failure.call
-        self._news.pop(step.index, None)
-        attempts = self._attempts.pop(step.index, 1)
+        self._news.pop(_key(step), None)
+        attempts = self._attempts.pop(_key(step), 1)
         named = step_words(step)
         tried = f" in {attempts} attempts" if attempts > 1 else ""
         self._print(now, "[bold red]failed[/]", f"{named}{tried}: {failure.cause}{self._new(named, failure.details)}")
@@ -216,7 +217,7 @@ class ConsoleObserver(TaskObserver):
 
     def _wait_for_more(self, call: ActionCall, news: _News) -> None:
         """Print the news at the end of what happens at this moment, unless it is printed with what follows from it."""
-        self._news[call.index] = news
+        self._news[_key(call)] = news
         asyncio.get_running_loop().call_soon(self._print_news)
 
     def _print_news(self) -> None:

@@ -272,8 +272,8 @@ class TaskHistory:
     @property
     def counts(self) -> TaskCounts:
         """Counts of events."""
-        own = self.own_runs
-        requests, failures = sum(run.requests for run in own), sum(len(run.failures) for run in own)
+        own, callers = self.own_runs, {run.made.caller for run in self.runs if not run.is_own}
+        requests, failures = sum(run.requests for run in self.runs) - len(callers), sum(len(run.failures) for run in own)
         replans = sum(not run.is_foreseen for run in own[1:])
         return TaskCounts(self.plans, replans, requests, failures, has_run=bool(own))
 

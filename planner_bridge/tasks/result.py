@@ -76,11 +76,17 @@ class Stopwatch:
 
 @dataclass(frozen=True)
 class Episode:
-    """One machine and its run; `decision` is what followed if the goal was not reached."""
+    """One machine and its run.
+
+    Args:
+        decision: what followed if the goal was not reached.
+        called: the requests of plans that calls of it are, less those calls.
+    """
 
     machine: PetriNetMachine
     result: RunResult
     decision: Decision | None = None
+    called: int = 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,6 +96,7 @@ class TaskCounts:
     Args:
         plans: that a planner has found, or that were given to begin with.
         replans: new machines after the first, with the rest of a plan or with another one; those with a better rest do not count.
+        requests: to action servers, those of plans that a plan calls among them; such a call is none.
         failures: calls, and other steps, that were given up.
     """
 
@@ -156,8 +163,8 @@ class TaskResult:
     @property
     def counts(self) -> TaskCounts:
         """Counts of events."""
-        requests = sum(call.attempts for call in self.calls if call.call.action.operation is None)
-        requests += sum(episode.result.earlier.requests for episode in self.episodes)
+        handed = sum(call.attempts for one in self.episodes for call in one.result.calls if call.kind is CallOutcome.HANDED_OVER)
+        requests = sum(episode.result.requests + episode.called for episode in self.episodes) - handed
         return TaskCounts(self.plans, self.replans, requests, len(self.failures), has_run=bool(self.episodes))
 
     def as_json(self) -> dict[str, Any]:

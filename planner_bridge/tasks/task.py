@@ -17,10 +17,9 @@ from planner_bridge.tasks.result import GoalNote, Stopwatch, TaskResult, notes_o
 from planner_bridge.tasks.settings import TaskObserver
 from pnm.core.execution.call_results import CallResult, Failure, RunResult
 from pnm.core.execution.events import Fired, broadcast
-from pnm.core.machine.guards import After, Rule
 from pnm.core.machine.machine import PetriNetMachine
 from pnm.core.machine.plan_graph import ActionCall
-from pnm.core.machine.requests import CallOutcome, Outcome, OutcomeKind, Request, TransitionAction
+from pnm.core.machine.requests import CallOutcome, Outcome, OutcomeKind, Request
 from pnm.core.machine.verification.verify import Proof
 from pnm.core.net.net import Marking
 from pnm.errors import counted
@@ -332,6 +331,10 @@ class Task(TaskObserver):
         self.note(TraceKind.ENDED, str(call.action), f"{outcome.kind.value}{f': {outcome.message}' if outcome.message else ''}", level)
         self.listener.changed(self.id)
 
+    def late(self, call: ActionCall, limit: float, now: float) -> None:
+        """Note that a call has passed its limit."""
+        self.note(TraceKind.SENT, "", f"a request to cancel {call.action}: it has not ended within {limit:g} s", logging.WARNING)
+
     def failed(self, failure: Failure, now: float) -> None:
         """Note that something has failed."""
         self.note(TraceKind.FAILED, str(failure.call), failure.why, logging.ERROR)
@@ -346,24 +349,8 @@ class Task(TaskObserver):
         self.listener.changed(self.id)
 
     def fired(self, fired: Fired, now: float) -> None:
-        """Tell that a transition has fired; too much for the trace of the task, unless a call has passed its limit."""
-        run = self.control.run
-        if (passed := passed_limit(fired)) is not None and run is not None:
-            call, limit = passed
-            late = run.machine.plan.calls[call].action
-            self.note(TraceKind.SENT, "", f"a request to cancel {late}: it has not ended within {limit:g} s", logging.WARNING)
+        """Tell that a transition has fired; too much for the trace of the task."""
         if fired.kind.restarts:
             self.restarts += 1
             self.listener.changed(self.id)
         self.listener.moved(self.id, lambda: TraceEvent(self.id, now, TraceKind.FIRED, fired.name))
-
-
-def passed_limit(fired: Fired) -> tuple[int, float] | None:
-    """Return the call whose limit, in seconds, has passed when this transition fires: its request is cancelled; None for others."""
-    if fired.kind.action is not TransitionAction.CANCEL:
-        return None
-    match fired.rule:
-        case Rule(guard=After(limit), call=int(call), cause=None):
-            return call, limit
-        case _:
-            return None

@@ -135,7 +135,7 @@ class PlanTask:
             code = stopped.code if stopped else Code.TIMED_OUT  # what else stops it is its own limit
         reason = stopped.reason if stopped and run.stopped and not run.goal else run.reason
         cause = "" if run.goal or run.stopped else run.failures[0].cause if run.failures else Cause.GOAL_FALSE
-        episode, seconds = Episode(program.machine, run), context.task.stopwatch.seconds
+        episode, seconds = Episode(program.machine, run, called=plan_run.client.called), context.task.stopwatch.seconds
         results, variables = plan_run.results, plan_run.variables
         result = PlanResult(code, reason, 0, (episode,), seconds, began, results=results, variables=variables, cause=cause)
         if context.control.stopped or not any(failure.replan for failure in run.failures):

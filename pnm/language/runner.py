@@ -100,6 +100,7 @@ class PlanRun:
 
     program: Program
     executor: Executor
+    client: PlansClient
     limit: TimeLimit = field(init=False)
     """The time that the plan has."""
 
@@ -109,6 +110,11 @@ class PlanRun:
         self.limit = TimeLimit(
             inf if seconds is None else seconds, lambda limit: stop(reason=f"the plan's limit of {limit:g} s is reached")
         )
+
+    @property
+    def requests(self) -> int:
+        """The requests so far to action servers, those of plans that it calls among them: a call of a plan is none."""
+        return self.executor.run.result_so_far().requests + self.client.called
 
     @property
     def variables(self) -> dict[str, object]:
@@ -250,7 +256,8 @@ class PlanRunner:
 
     def _plan_run(self, run: Run, client: PlansClient, name: str) -> PlanRun:
         note = partial(self.journal.noted, client.task)
-        return PlanRun(self.programs[name], Executor(run, client, self.source, name, self.journal, note, client.executor_of, self.hands))
+        executor = Executor(run, client, self.source, name, self.journal, note, client.executor_of, self.hands)
+        return PlanRun(self.programs[name], executor, client)
 
     async def check(self, plan_run: PlanRun) -> None:
         """See to it that every parameter of the plan has a value, before it is carried out; see `check_values`."""
@@ -287,14 +294,16 @@ class PlanRunner:
 class PlansClient:
     """Carries out calls of plans as runs of their own, on behalf of a task, and passes all others on to the backend.
 
-    The mutable state is the executors of plans by request, the requests that were cancelled, and the tasks that carry them out.
+    The mutable state is the runs of plans by request, what those that are over have sent, the requests that were cancelled, and the
+    tasks that carry them out.
     """
 
     runner: PlanRunner
     observer: Observer | None
     task: UUID
     priority: int
-    _executors: dict[UUID, Executor] = field(init=False, default_factory=dict)
+    _runs: dict[UUID, PlanRun] = field(init=False, default_factory=dict)
+    _sent: int = field(init=False, default=0)
     _cancelled: set[UUID] = field(init=False, default_factory=set)
     _tasks: set[asyncio.Task[None]] = field(init=False, default_factory=set)
 
@@ -334,15 +343,20 @@ class PlansClient:
 
     def cancel(self, request: UUID, /) -> None:
         """Have the plan, or the action, cancelled."""
-        if request in self._executors:
+        if request in self._runs:
             self._cancelled.add(request)
-            self._executors[request].stop()
+            self._runs[request].executor.stop()
         else:
             self._client.cancel(request)
 
     def executor_of(self, request: UUID) -> Executor | None:
         """Return the executor of the run that a request for a plan has started; None if it has none, or it is over."""
-        return self._executors.get(request)
+        return self._runs[request].executor if request in self._runs else None
+
+    @property
+    def called(self) -> int:
+        """The requests that plans have sent, less those that have called them: they are carried out here, and not by a server."""
+        return self._sent + sum(plan_run.requests - 1 for plan_run in self._runs.values())
 
     async def _run_plan(self, request: requests.Request, report: requests.Reporter) -> None:
         given = {name: value for name, value in request.goal.items() if name not in ABOUT_THE_CALL}
@@ -356,7 +370,7 @@ class PlansClient:
         await self._execute(request, plan_run, report)
 
     async def _execute(self, request: requests.Request, plan_run: PlanRun, report: requests.Reporter) -> None:
-        self._executors[request.id] = plan_run.executor
+        self._runs[request.id] = plan_run
         report(requests.Accepted(request.id))
         try:
             result = await self.runner.execute(plan_run)
@@ -369,7 +383,8 @@ class PlansClient:
             )
             return
         finally:
-            del self._executors[request.id]
+            self._sent += plan_run.requests - 1
+            del self._runs[request.id]
         unsuccessful = requests.OutcomeKind.CANCELED if request.id in self._cancelled else requests.OutcomeKind.ABORTED
         self._cancelled.discard(request.id)
         kind = requests.OutcomeKind.SUCCEEDED if result.goal else unsuccessful

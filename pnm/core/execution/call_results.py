@@ -124,6 +124,11 @@ class RunResult:
     earlier: Earlier = _NOTHING_EARLIER
     """Of rounds of loops that are too long ago for `calls`."""
 
+    @property
+    def requests(self) -> int:
+        """The number of requests to action servers."""
+        return self.earlier.requests + sum(call.attempts for call in self.calls if call.call.action.operation is None)
+
     def __repr__(self) -> str:
         return f"<RunResult {'goal' if self.goal else self.reason}: {len(self.calls)} calls, {len(self.failures)} failures>"
 

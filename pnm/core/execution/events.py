@@ -224,6 +224,9 @@ class Observer:
     def sent(self, call: ActionCall, request: Request, now: float) -> None:
         """Note that a request is being sent."""
 
+    def late(self, call: ActionCall, limit: float, now: float) -> None:
+        """Note that a request has not ended within its limit, in seconds, and is being cancelled."""
+
     def ended(self, call: ActionCall, outcome: Outcome, now: float) -> None:
         """Note that a request is over."""
 

@@ -19,7 +19,7 @@ from pnm.core.execution.machine_index import Decision, Firing, Site
 from pnm.core.execution.questions import subject_of
 from pnm.core.execution.run_view import RunView
 from pnm.core.logic.computed_values import Question, Unanswered
-from pnm.core.machine.guards import EffectsMissing, InvariantFalse, Opener, Rule, Withheld
+from pnm.core.machine.guards import After, EffectsMissing, InvariantFalse, Opener, Rule, Withheld
 from pnm.core.machine.plan_graph import ActionCall
 from pnm.core.machine.requests import BEFORE_ACCEPTANCE, Accepted, CallOutcome, Ended, Feedback, OutcomeKind, Postponed, TransitionAction
 from pnm.core.net.block_net import NumberedArcs
@@ -264,7 +264,11 @@ class Run(RunView):
                     self._places.append(marked)
         self._fired.append(number)
         if self.observer is not events.SILENT:
-            self.observer.fired(events.Fired(self._index.blocks, number, firing.rule), now)
+            self.observer.fired(fired := events.Fired(self._index.blocks, number, firing.rule), now)
+            if firing.action is TransitionAction.CANCEL:
+                match fired.rule:
+                    case Rule(guard=After(limit), call=int(call), cause=None):
+                        self.observer.late(self._calls.as_sent(call), limit, now)
 
     def _fire_apart(self, site: Site, firing: Firing, place: int | None) -> None:
         """Fire a transition that matters to more than its call."""

@@ -84,6 +84,16 @@ def test_a_call_that_is_over_as_soon_as_it_is_cancelled_has_failed_and_was_not_l
     ]
 
 
+def test_a_call_of_a_plan_is_late_and_not_the_call_of_that_plan_with_its_number(tmp_path: Path) -> None:
+    plans = "outer: {domain: d.yaml, plan: [{inner: , timeout: 2}]}\ninner: {domain: d.yaml, plan: [first: ]}\n"
+    (tmp_path / "d.yaml").write_text("actions: {first: }")
+    (tmp_path / "faults.yaml").write_text("faults: [{action: first, do: hang, ignores_cancel: true}]")
+    lines = plan(tmp_path, plans, "--name", "outer", "--faults", str(tmp_path / "faults.yaml")).stdout.splitlines()
+    assert [line for line in lines if " late " in line] == [
+        "      2.00 s  late   inner(): it has not ended within 2 s, and is being cancelled"
+    ]
+
+
 def test_a_call_that_is_not_needed_is_said(tmp_path: Path) -> None:
     done = plan(tmp_path, "facts: [(b)]\nactions: {go: {effects: [(b)]}}\nplan: [go:]\n")
     assert "      0.00 s  spared go(): its effects hold already" in done.stdout.splitlines()

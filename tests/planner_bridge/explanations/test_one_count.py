@@ -45,3 +45,22 @@ def test_a_task_is_counted_alike_wherever_it_is_looked_at(faults: str, tmp_path:
     assert all(one["why"] in " ".join(shown.split()) for one in listed["replanned"])
     assert {as_json["code"], listed["code"], on_page["code"]} == {as_json["code"]}
     assert {as_json["reason"], listed["reason"], on_page["reason"]} == {as_json["reason"]}
+
+
+NESTED = """
+outer: {domain: domain.yaml, plan: [inner: , open: ]}
+inner: {domain: domain.yaml, plan: [knock: , wait: , knock: ]}
+"""
+
+
+@pytest.mark.parametrize(("faults", "requests"), [("faults: []", 4), ("faults: [{action: wait, do: abort}]", 2)])
+def test_requests_of_plans_that_a_plan_calls_count_and_such_a_call_does_not(faults: str, requests: int, tmp_path: Path) -> None:
+    journal, file = str(tmp_path / "run.journal"), str(written(tmp_path / "plans.yaml", NESTED))
+    written(tmp_path / "domain.yaml", "actions: {open: , knock: , wait: }")
+    run = ["run", "--plan", file, "--name", "outer", "--faults", str(written(tmp_path / "faults.yaml", faults))]
+    as_json, shown = result(pnm(*run, "--json", "--journal", journal)), pnm(*run).stdout
+    (listed,) = map(json.loads, pnm("history", "--json", "-v", journal).stdout.splitlines())
+    (on_page,) = Reader(Path(journal)).newest().tasks.values()
+    assert as_json["requests"] == listed["counts"]["requests"] == requests
+    assert on_page["counts"].startswith(f"{requests} requests, ")
+    assert on_page["counts"] in shown
