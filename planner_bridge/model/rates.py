@@ -147,11 +147,17 @@ class Chance:
         """Return the mean chance of an end, or of the outcome of a name."""
         return self.weights.get(end, 0.0) / sum(self.weights.values())
 
-    def drawn(self, random: Random) -> Chance:
-        """Return them as they may be instead, if they were learned."""
+    @property
+    def estimate(self) -> tuple[object, ...]:
+        """What they rest on; where this is the same, they are."""
+        return self.rests, *self.weights
+
+    def drawn(self, random: Random, count: int = 1) -> list[Chance]:
+        """Return them as they may be instead in so many worlds, if they were learned; see `as_may_be`."""
         if self.rests.basis is not Basis.LEARNED:
-            return self
-        return replace(self, weights={end: random.gammavariate(weight, 1.0) for end, weight in self.weights.items()})
+            return [self] * count
+        drawn = as_may_be([self.of(end) for end in self.weights], sum(self.weights.values()), random, count)
+        return [replace(self, weights=dict(zip(self.weights, shares, strict=True))) for shares in drawn]
 
     @property
     def success(self) -> float:
@@ -161,6 +167,22 @@ class Chance:
     def interval(self, security: float = SECURITY) -> tuple[float, float]:
         """Return the interval that holds the chance of success with this security."""
         return wilson(self.success, sum(self.weights.values()), security)
+
+
+def as_may_be(chances: Sequence[float], total: float, random: Random, count: int = 1) -> list[list[float]]:
+    """Return chances as they may be instead in so many worlds, if they were estimated from so many attempts.
+
+    If there are many worlds, their mean is as it is: what rests on the draws is then hardly off by luck.
+    """
+    if not total:
+        return [[*chances]] * count
+    drawn = [[random.gammavariate(total * chance, 1.0) if chance else 0.0 for chance in chances] for _ in range(count)]
+    shares = [[value / sum(values) for value in values] for values in drawn]
+    if count == 1:
+        return shares
+    scales = [chance * count / sum(column) if chance else 0.0 for chance, column in zip(chances, zip(*shares, strict=True), strict=True)]
+    scaled = [[share * scale for share, scale in zip(values, scales, strict=True)] for values in shares]
+    return [[share / sum(values) for share in values] for values in scaled]
 
 
 @dataclass(frozen=True, slots=True)

@@ -23,7 +23,7 @@ from types import MappingProxyType
 from typing import Any, Final, TypeAlias
 
 from planner_bridge.model.progression import NotApplicable, Progression, snapshot
-from planner_bridge.model.rates import NO_RATES, Basis, Call, Chance, End, Rates, wilson
+from planner_bridge.model.rates import NO_RATES, Basis, Call, Chance, End, Rates, as_may_be, wilson
 from planner_bridge.ordering.robot_time import ExpectedTimes
 from pnm.actions.faults import NO_FAULTS, FaultKind, Faults
 from pnm.actions.simulated_robots import LAG, SLOWNESS
@@ -304,36 +304,41 @@ def exact(graph: PlanGraph, calls: tuple[CallOdds, ...], knowledge: KnowledgeBas
 
 
 def interval(
-    calls: Iterable[CallOdds], chance: Callable[[Mapping[CallKind, float]], float] | None = None, count: int = INTERVAL_DRAWS
+    calls: Iterable[CallOdds], chance: Callable[[Mapping[CallKind, float], int], float] | None = None, count: int = INTERVAL_DRAWS
 ) -> tuple[float, float] | None:
     """Return what the chance lies between with 95 % if chances of attempts are estimates; None if none is.
 
-    They are drawn from their Dirichlet distributions, once for all calls that rest on the same attempts. The chance of the goal is the
-    product of those of the calls, unless a function is given.
+    The chance of the goal is the product of those of the calls, unless a function is given, as for `in_worlds`.
     """
-    alike, random = Counter(call.kind for call in calls), Random(0)
+    alike = Counter(call.kind for call in calls)
     if not any(total for (_, total, _), _ in alike):
         return None
-
-    def drawn() -> float:
-        ways: dict[object, dict[Leads, float]] = {}
-        for estimate, _ in alike:
-            if estimate not in ways:
-                _, total, endings = estimate
-                shares = as_may_be([share for _, share in endings], total, random)
-                drawn_ends = [(leads, share) for (leads, _), share in zip(endings, shares, strict=True)]
-                ways[estimate] = {kind: sum(share for leads, share in drawn_ends if leads is kind) for kind in Leads}
-        success = {kind: _success(ways[kind[0]][Leads.DONE], ways[kind[0]][Leads.AGAIN], kind[1]) for kind in alike}
-        return chance(success) if chance else prod(success[kind] ** number for kind, number in alike.items())
-
-    chances = tuple(sorted(drawn() for _ in range(count)))
+    product = chance or (lambda success, _: prod(success[kind] ** number for kind, number in alike.items()))
+    chances = tuple(sorted(in_worlds(alike, product, count, assumed=True)))
     return _quantile(chances, 0.025), _quantile(chances, 0.975)
 
 
-def as_may_be(chances: Sequence[float], total: float, random: Random) -> list[float]:
-    """Return chances as they may be instead, if they were estimated from so many attempts."""
-    drawn = [random.gammavariate(total * chance, 1.0) if total and chance else chance for chance in chances]
-    return [share / sum(drawn) for share in drawn]
+def in_worlds(
+    kinds: Iterable[CallKind], chance: Callable[[Mapping[CallKind, float], int], float], count: int, *, assumed: bool
+) -> Iterator[float]:
+    """Yield the chance of the goal in so many worlds: what was estimated is drawn in each, once for all calls that rest on it.
+
+    Args:
+        chance: of the goal, given those of calls, and the number of the world.
+        assumed: whether chances that are only assumed are drawn, too.
+    """
+    random, ways = Random(0), dict[object, list[dict[Leads, float]]]()
+    for estimate, _ in (kinds := (*kinds,)):
+        if estimate not in ways:
+            rests, total, endings = estimate
+            drawn = as_may_be([share for _, share in endings], total if assumed or rests != Basis.ASSUMED.value else 0.0, random, count)
+            ways[estimate] = [
+                {kind: sum(share for (leads, _), share in zip(endings, shares, strict=True) if leads is kind) for kind in Leads}
+                for shares in drawn
+            ]
+    for world in range(count):
+        shares = {estimate: drawn[world] for estimate, drawn in ways.items()}
+        yield chance({kind: _success(shares[kind[0]][Leads.DONE], shares[kind[0]][Leads.AGAIN], kind[1]) for kind in kinds}, world)
 
 
 def times(graph: PlanGraph, calls: tuple[CallOdds, ...], count: int = DRAWS, began: float = 0.0) -> list[float]:

@@ -2,8 +2,8 @@
 
 A stretch is a plan, whose calls have exact odds. It ends in one of the outcomes of its last call, by their chances: the declared ones,
 else the learned ones, else all are as likely. If all calls of it succeed, the policy says what follows; a failure for good ends the
-chain, because what is planned then is no part of the policy. The chance and the number of calls are solved exactly, and times are drawn
-along the chain.
+chain, because what is planned then is no part of the policy. The chance and the number of calls are solved exactly, for chances as they
+are known; where these were learned, the chance is the mean over draws of what they may be. Times are drawn along the chain.
 
 While a plan is carried out, what is left of it comes first.
 """
@@ -17,6 +17,7 @@ from functools import cache
 from itertools import count
 from math import prod
 from random import Random
+from statistics import fmean
 from typing import Final
 
 from planner_bridge.model.determinization import untold
@@ -37,6 +38,7 @@ from planner_bridge.pipeline.odds import (
     KnownRobots,
     Odds,
     chance_of,
+    in_worlds,
     interval,
     odds_of_calls,
     times,
@@ -154,28 +156,36 @@ class PolicyChain:
         return tuple({(str(call.call.action), call.kind): call for stretch in self.stretches for call in stretch.left}.values())
 
     def odds(self) -> Odds:
-        """Return the odds of the goal."""
-        values = self.chances({call.kind: call.chance() for call in self.calls})
-        chance = round(values[0].real, 12)
-        draws, random = _draws(len(values)), Random(0)
-        between = interval(self.calls, lambda success: self.chances(success, random)[0].real, min(INTERVAL_DRAWS, draws))
-        lasts = self.times({number: value.real for number, value in values.items()}, draws) if chance else ()
-        return Odds(chance, between or (chance, chance), lasts, actions=values[0].imag / _STEP / chance if chance else 0.0)
+        """Return the odds of the goal.
 
-    def chances(self, success: Mapping[CallKind, float], random: Random | None = None) -> dict[int, complex]:
+        Its chance is the mean over what learned chances may be, by as many draws as its interval; the calls are counted with their means.
+        """
+        kinds = {call.kind: call.chance() for call in self.calls}
+        means = {stretch.outcomes.estimate: stretch.outcomes for stretch in self.stretches}
+        values = self.chances(kinds, means)
+        draws, random = _draws(len(values)), Random(0)
+        worlds = min(INTERVAL_DRAWS, draws)
+        outcomes = {key: chance.drawn(random, worlds) for key, chance in means.items()}
+
+        def chance_in(success: Mapping[CallKind, float], world: int) -> float:
+            return self.chances(success, {key: drawn[world] for key, drawn in outcomes.items()})[0].real
+
+        between = interval(self.calls, chance_in, worlds)
+        chance = round(fmean(in_worlds(kinds, chance_in, worlds, assumed=False)) if between else values[0].real, 12)
+        lasts = self.times({number: value.real for number, value in values.items()}, draws) if chance else ()
+        return Odds(chance, between or (chance, chance), lasts, actions=values[0].imag / _STEP / values[0].real if chance else 0.0)
+
+    def chances(self, success: Mapping[CallKind, float], outcomes: Mapping[tuple[object, ...], Chance]) -> dict[int, complex]:
         """Return the chance of the goal from every state: states are taken out of the chain, the last one first, and put in again.
 
         What leaves a state is summed up, and not taken from 1 (Grassmann, Taksar and Heyman 1985): nothing small is lost.
 
         Args:
-            random: draws chances of outcomes that were learned, once for all that rest on the same attempts.
+            outcomes: the chances of the outcomes of stretches, by the key of what is known of them.
         """
-        rows, drawn = list[dict[int, complex]](), dict[object, Chance]()
+        rows = list[dict[int, complex]]()
         for stretch in self.stretches:
-            chance, outcomes = prod(success[call.kind] for call in stretch.left), stretch.outcomes
-            if random and outcomes.rests.n:
-                outcomes = drawn.setdefault((outcomes.rests, *outcomes.weights), outcomes.drawn(random))
-            leads = stretch.leads(outcomes)
+            chance, leads = prod(success[call.kind] for call in stretch.left), stretch.leads(outcomes[stretch.outcomes.estimate])
             row = {after: chance * share * (1.0 + 1j * _STEP * len(stretch.left)) for after, share in leads.items()}
             rows.append({**row, _NOWHERE: row.get(_NOWHERE, 0.0) + 1.0 - chance})
         for number in reversed(range(len(rows))):

@@ -16,12 +16,12 @@ from planner_bridge.model.grounding import initial_knowledge
 from planner_bridge.model.plan import Plan, PlanningResult, PlanningStatus, Policy
 from planner_bridge.model.problem import Domain, Problem
 from planner_bridge.model.progression import stretch
-from planner_bridge.model.rates import Basis, Chance
+from planner_bridge.model.rates import Basis, Chance, as_may_be
 from planner_bridge.model.world import simulated_backend
 from planner_bridge.ordering.plan_to_graph import plan_graph
 from planner_bridge.pipeline.achieve import carry_out
 from planner_bridge.pipeline.goal_handle import GoalHandle
-from planner_bridge.pipeline.odds import AttemptOdds, Attempts, GoalOdds, KnownRobots, Leads, Odds, as_may_be, exact, odds_of_calls
+from planner_bridge.pipeline.odds import AttemptOdds, Attempts, GoalOdds, KnownRobots, Leads, Odds, exact, odds_of_calls
 from planner_bridge.pipeline.policy_odds import PolicyChain
 from planner_bridge.tasks.result import Stopwatch, TaskResult
 from planner_bridge.tasks.settings import Memory, ProvedMachine, Settings, TaskObserver
@@ -155,10 +155,10 @@ def in_one_world(attempts: Attempts, random: Random) -> Attempts:
             return None
         if (estimate := attempt.estimate) not in chances:
             total = attempt.total if attempt.rests != Basis.ASSUMED.value else 0.0
-            chances[estimate] = as_may_be([ending.chance for ending in attempt.endings], total, random)
+            (chances[estimate],) = as_may_be([ending.chance for ending in attempt.endings], total, random)
         endings = tuple([replace(ending, chance=chance) for ending, chance in zip(attempt.endings, chances[estimate], strict=True)])
         if (ways := attempt.outcomes) is not None:
-            ways = outcomes.setdefault((ways.rests, *ways.weights), ways.drawn(random))
+            ways = outcomes.setdefault(ways.estimate, ways.drawn(random)[0])
         return replace(attempt, endings=endings, outcomes=ways)
 
     return there

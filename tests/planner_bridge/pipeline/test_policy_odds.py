@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from math import sqrt
 
+import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
 
@@ -14,7 +15,7 @@ from planner_bridge.model.plan import Plan, PlanStep
 from planner_bridge.model.problem import Problem
 from planner_bridge.ordering.plan_to_graph import stretch_graph
 from planner_bridge.pddl import parse_domain, parse_problem
-from planner_bridge.pipeline.odds import KnownRobots, Odds
+from planner_bridge.pipeline.odds import AttemptOdds, KnownRobots, Odds
 from planner_bridge.pipeline.policy_odds import PolicyChain, RestOfPlan
 from planner_bridge.pipeline.roll_outs import odds_of_goal
 from planner_bridge.planning.policies.policy import Policy, PolicyEntry, policies
@@ -24,6 +25,7 @@ from planner_bridge.tasks.settings import Settings
 from pnm.actions.faults import Fault, FaultKind, Faults
 from pnm.core.execution.call_results import CallResult
 from pnm.core.machine.bindings import Binding, Bindings
+from pnm.core.machine.plan_graph import GroundAction
 from pnm.core.machine.requests import CallOutcome
 from tests.support.pddl.chance import Exact, random_problem
 
@@ -57,6 +59,30 @@ def test_what_is_tried_until_it_succeeds_has_the_odds_of_a_geometric_series() ->
     patient = exact(problem, result.policy, Fault("knock", FaultKind.ABORT, chance=0.0))
     assert patient is not None
     assert (patient.chance, patient.interval) == (1.0, (1.0, 1.0))
+
+
+def test_the_chance_is_the_mean_over_what_learned_chances_may_be() -> None:
+    problem, known = door("(probabilistic 0.25 (open))"), KnownRobots(faults=Faults((Fault("knock", FaultKind.ABORT, chance=0.4),)))
+
+    def chance(rests: str) -> float:
+        def attempts(action: GroundAction) -> AttemptOdds | None:
+            found = known.attempts(ONCE, {}, is_timed=False)(action)
+            return replace(found, rests=rests, total=5.0) if found else None
+
+        policy = solve(problem).policy
+        assert policy is not None
+        chain = PolicyChain.of(problem, policy, ONCE, attempts)
+        assert chain is not None
+        return chain.odds().chance
+
+    nodes, weights = np.polynomial.legendre.leggauss(64)
+    done = (1.0 + nodes) / 2.0
+    density = 6.0 * done**2 * (1.0 - done)  # of a beta distribution with 3 successes and 2 failures, on half of the length
+    mean = float(weights @ (density * 0.25 * done / (1.0 - 0.75 * done)))
+    at_mean = 0.6 * 0.25 / (1.0 - 0.6 * 0.75)
+    assert abs(mean - at_mean) > 0.05
+    assert chance("learned from 4 of knock") == pytest.approx(mean, abs=0.005)
+    assert chance("assumed") == pytest.approx(at_mean), "what is only assumed is no estimate"
 
 
 def test_a_trap_takes_its_chance_and_even_ones_are_said_to_be() -> None:
