@@ -16,7 +16,7 @@ from dataclasses import dataclass, field
 from enum import Enum
 from graphlib import CycleError, TopologicalSorter
 from itertools import pairwise
-from math import isinf, prod
+from math import inf, isinf, prod
 from operator import add
 from random import Random
 from types import MappingProxyType
@@ -91,6 +91,14 @@ class AttemptOdds:
     def estimate(self) -> tuple[str, float, tuple[tuple[Leads, float], ...]]:
         """All but its seconds; calls for which this is the same rest on the same numbers."""
         return self.rests, self.total, tuple([(ending.leads, ending.chance) for ending in self.endings])
+
+    @property
+    def expected(self) -> float:
+        """The seconds that a call takes on average until it has succeeded; infinite if it never does."""
+        lasts = sum(
+            end.chance * sum(t * weight for t, weight in end.seconds) / sum(weight for _, weight in end.seconds) for end in self.endings
+        )
+        return lasts / done if (done := self.chance(Leads.DONE)) else inf
 
     def draws(self, leads: Leads, random: Random, count: int) -> list[float]:
         """Draw the seconds of attempts that end so."""
@@ -246,21 +254,25 @@ class Odds:
 
     @staticmethod
     def estimated(
-        reached: int, counted: int, times: Iterable[float], numbers: Mapping[Fluent, Iterable[float]], runs: int, sure: float | None
+        counted: int, times: Iterable[float], numbers: Mapping[Fluent, Iterable[float]], runs: int, alone: Odds | None = None
     ) -> Odds:
         """Return the odds after runs, with their interval.
 
         Args:
-            reached: runs that reached the goal, of those that are counted.
-            counted: all runs; those alone that needed a new plan, if the chance of needing none is known.
-            sure: that chance. The share of the others is estimated by Jeffreys' prior: there may be few of them, or none.
+            counted: all runs; those alone that needed a new plan, if the odds are known if there is none.
+            times: seconds of those that reached the goal, of the runs that are counted.
+            alone: the odds if there is no new plan. The share of the others is estimated by Jeffreys' prior: there may be few, or none.
         """
-        share = reached / counted if sure is None else (reached + 0.5) / (counted + 1.0)
+        lasts, sure = sorted(times), alone.chance if alone else 0.0
+        reached, least = len(lasts), 0.5 if alone else 0.0
         low, high = wilson(reached / counted, counted) if counted else (0.0, 1.0)
-        sure = sure or 0.0
-        between = (sure + (1.0 - sure) * low, sure + (1.0 - sure) * high)
+        others = (1.0 - sure) * (reached + least) / (counted + 2 * least)
+        if alone and alone.times and lasts:
+            several = round(len(alone.times) * others / sure)
+            lasts = sorted((*alone.times, *(lasts[int(reached * (number + 0.5) / several)] for number in range(several))))
         ends = {fluent: tuple(sorted(values)) for fluent, values in numbers.items()}
-        return Odds(sure + (1.0 - sure) * share, between, tuple(sorted(times)), ends, runs)
+        between = (sure + (1.0 - sure) * low, sure + (1.0 - sure) * high)
+        return Odds(sure + others, between, tuple(lasts or (alone.times if alone else ())), ends, runs)
 
 
 def odds_of_calls(graph: PlanGraph, bindings: Bindings, attempts: Attempts) -> tuple[CallOdds, ...] | None:

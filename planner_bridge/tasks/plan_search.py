@@ -178,7 +178,7 @@ class PlanSearch:
             return
         self.end_improving()
         is_wanted = not is_virtual() if settings.improve is None else settings.improve > 0.0
-        if self._is_best or not (is_wanted and can_be_improved(context.problem, settings.planner)):
+        if self._is_best or not (is_wanted and settings.memory.improves and can_be_improved(context.problem, settings.planner)):
             return
         stop, rates = threading.Event(), ExpectedTimes(settings.bindings, settings.learned, context.problem.init)
         token = _EitherToken(self._control.planner_stop, stop)

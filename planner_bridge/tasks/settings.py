@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from enum import Enum
-from typing import TYPE_CHECKING, Final, TypeAlias
+from typing import TYPE_CHECKING, ClassVar, Final, TypeAlias
 
 from planner_bridge.model.plan import Plan, PlanningResult
 from planner_bridge.model.problem import Problem
@@ -81,6 +81,9 @@ ProvedMachine: TypeAlias = tuple[PetriNetMachine, Proof]
 
 class Memory:
     """The memory of runs of one problem: this one keeps nothing; others have what one run has found for the next."""
+
+    improves: ClassVar[bool] = True
+    """Whether the rest of a plan may be improved while it is carried out."""
 
     def plan(self, problem: Problem, timeout: float, search: Callable[[float], PlanningResult]) -> PlanningResult:
         """Return a plan that is remembered, or what the search finds within the limit."""

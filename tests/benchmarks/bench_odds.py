@@ -26,9 +26,11 @@ from planner_bridge.model.problem import Problem
 from planner_bridge.model.rates import NO_RATES, Rates
 from planner_bridge.pddl import read_domain, read_problem
 from planner_bridge.pipeline.achieve import achieve
+from planner_bridge.pipeline.odds import Odds
 from planner_bridge.pipeline.roll_outs import odds_of_goal
 from planner_bridge.planning.solve import solve
 from planner_bridge.tasks.replanning import Limits
+from planner_bridge.tasks.result import TaskResult
 from planner_bridge.tasks.settings import Settings
 from pnm.actions.faults import NO_FAULTS, Fault, FaultKind, Faults
 from pnm.core.machine.bindings import Binding, Bindings
@@ -47,6 +49,20 @@ class Forecast(NamedTuple):
     reached: bool
     seconds: float | None
     """The share of the forecast times below that of the run, some by chance of those that equal it; None if it did not reach the goal."""
+
+    @staticmethod
+    def of(world: str, odds: Odds, result: TaskResult, random: Random) -> Forecast:
+        """Return the forecast that odds have made, beside what came of it.
+
+        The time of the run counts as one more of those that equal it: its place among few forecast times would not be even.
+        """
+        took = max((call.ended - result.began for call in result.calls if call.ended is not None), default=0.0)
+        below, equal = 0.0, 1.0
+        for time in odds.times:
+            below += time < 0.98 * took  # learned seconds are within 1 % of what was measured
+            equal += 0.98 * took <= time <= 1.02 * took
+        share = (below + random.random() * equal) / (len(odds.times) + 1) if odds.times and result.goal_reached else None
+        return Forecast(world, odds.chance, result.goal_reached, share)
 
 
 class Scene(NamedTuple):
@@ -88,14 +104,9 @@ def forecasts(given: Scene, random: Random, seconds: float, trials: int) -> Iter
     chosen, known = replace(chosen, learned=given.rates or NO_RATES), given.faults if given.rates is None else NO_FAULTS
     odds = odds_of_goal(given.problem, found, chosen, known, seconds=seconds).best
     for _ in range(trials if odds else 0):
+        assert odds is not None
         result = achieve(None, given.problem, faults=replace(given.faults, seed=random.randint(_LATER, 2 * _LATER)), settings=chosen)
-        took = max((call.ended - result.began for call in result.calls if call.ended is not None), default=0.0)
-        below = equal = 0.0
-        for time in odds.times:
-            below += time < 0.98 * took  # learned seconds are within 1 % of what was measured
-            equal += 0.98 * took <= time <= 1.02 * took
-        share = (below + random.random() * equal) / len(odds.times) if odds.times and result.goal_reached else None
-        yield Forecast(given.world, odds.chance, result.goal_reached, share)
+        yield Forecast.of(given.world, odds, result, random)
 
 
 def main() -> None:

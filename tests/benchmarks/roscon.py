@@ -5,7 +5,7 @@ household's bindings and sensors; the workshop's own behaviour tree; and a tree 
 by the simulator's own state: a run that says so wrongly is a false success. Driving is in seconds at the speed of the robot.
 
 With --mishaps, doors prove to be locked and grasps drop things. Then the ways are planner and executor with a domain that declares what
-may come of actions, and with one that does not.
+may come of actions, and with one that does not. With --odds, every run of ours is forecast by its first plan.
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ from functools import partial
 from importlib.util import find_spec
 from itertools import repeat
 from pathlib import Path
+from random import Random
 from statistics import mean, median
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any, Final, TypeAlias
@@ -29,7 +30,11 @@ from pyrobosim.core import World
 
 from planner_bridge.explanations.learning import learn
 from planner_bridge.model.rates import NO_RATES, Rates
+from planner_bridge.pipeline.roll_outs import VettedPlan
 from planner_bridge.planning.kairos import LONGEST
+from planner_bridge.tasks.settings import Memory, Settings
+from pnm.actions.faults import NO_FAULTS
+from tests.benchmarks.bench_odds import Forecast, summary
 from tests.support.e2e.household.in_process import SimulatorBackend, in_world, pursue
 from tests.support.e2e.household.mishaps import with_mishaps
 from tests.support.e2e.household.simulator import Work, counted, drive_times, has_reached, load_world, without_waiting
@@ -65,6 +70,8 @@ class Trial:
     """Seconds of these that were spent on planning, on machines and on their proofs; most of the others go into the simulator's paths."""
     why: str = ""
     """Of a failure."""
+    forecast: Forecast | None = None
+    """The odds of its first plan, and what came of them."""
 
 
 def taught(settings: Mapping[str, Any], begin: Begin, problem: int, folder: Path | None, seeds: Sequence[int]) -> Rates:
@@ -78,17 +85,26 @@ def taught(settings: Mapping[str, Any], begin: Begin, problem: int, folder: Path
 
 
 def our_way(
-    settings: Mapping[str, Any], begin: Begin, times: Mapping[tuple[str, str], float], problem: int, folder: Path | None, seed: int
+    settings: Mapping[str, Any],
+    begin: Begin,
+    times: Mapping[tuple[str, str], float],
+    with_odds: bool,
+    problem: int,
+    folder: Path | None,
+    seed: int,
 ) -> Trial:
     """Pursue the goal with planner, executor and replanning; times are those of drives, if the planner knows them."""
     backend, began = begin(problem, seed, folder), time.perf_counter()
     backend.tell(times)
-    result = pursue(backend, **settings)
+    vetted = VettedPlan(Settings(bindings=backend.bindings, **settings), NO_FAULTS, 0.0) if with_odds else Memory()
+    result = pursue(backend, **settings, memory=vetted)
+    odds = vetted.odds.best if isinstance(vetted, VettedPlan) and vetted.odds else None
+    forecast = Forecast.of(f"problem {problem}", odds, result, Random(seed)) if odds else None
     seconds, reached = time.perf_counter() - began, has_reached(backend.world, problem)
     is_fine, is_spent = result.goal_reached and reached, backend.work.battery <= 0
     why = "" if is_fine else f"{'the battery is empty' if is_spent else result.code.word}: {result.reason}"
     ours = sum(result.seconds[part] for part in ("plan", "translate", "verify"))
-    return Trial(seed, result.goal_reached, reached, backend.work, seconds, result.replans, ours, why)
+    return Trial(seed, result.goal_reached, reached, backend.work, seconds, result.replans, ours, why, forecast)
 
 
 def tree_way(grown: Callable[[World, int], WorkshopTree | TreeByHand], problem: int, folder: Path | None, seed: int) -> Trial:
@@ -126,6 +142,8 @@ def show(problem: int, name: str, trials: Sequence[Trial]) -> None:
     for trial in trials:
         if trial.why:
             print(f"{'':9}seed {trial.seed}: {trial.why}")
+    if forecasts := [trial.forecast for trial in trials if trial.forecast]:
+        print(summary(forecasts), flush=True)
 
 
 def compare(ours: Sequence[Trial], name: str, others: Sequence[Trial]) -> None:
@@ -151,6 +169,7 @@ def main() -> None:
     )
     parser.add_argument("--jobs", type=int, default=1, help="processes")
     parser.add_argument("--mishaps", action="store_true", help="doors prove to be locked, and grasps drop things")
+    parser.add_argument("--odds", action="store_true", help="forecast each run of ours by its first plan, and say how right that was")
     parser.add_argument("--only-ours", action="store_true", help="only planner and executor")
     options = parser.parse_args()
     settings = {"improve": options.improve}
@@ -178,7 +197,9 @@ def main() -> None:
             trials: dict[str, list[Trial]] = {}
             times = drive_times(problem, worlds, rounds=options.times) if options.times else {}
             ours = {
-                name: partial(our_way, {**settings, "learned": taught(settings, begin, problem, worlds, before)}, begin, times)
+                name: partial(
+                    our_way, {**settings, "learned": taught(settings, begin, problem, worlds, before)}, begin, times, options.odds
+                )
                 for name, begin in begins.items()
             }
             for name, way in {**ours, **others}.items():
