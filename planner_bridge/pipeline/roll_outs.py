@@ -55,7 +55,7 @@ def odds_of_goal(
     seconds: float = SECONDS,
     most: int = MOST,
 ) -> GoalOdds:
-    """Return the odds of a goal with this plan; what follows a failure is planned as fast as there is time for.
+    """Return the odds of a goal with this plan; what follows a failure is planned in a small share of the seconds.
 
     What follows the outcomes of actions that have several is as their policy says.
 

@@ -18,7 +18,6 @@ from planner_bridge.model.problem import Problem
 from planner_bridge.model.rates import Call, Counts, End, Rates, Times, step_of
 from planner_bridge.ordering.plan_to_graph import plan_graph
 from planner_bridge.ordering.robot_time import ExpectedTimes
-from planner_bridge.pddl import parse_domain, parse_problem
 from planner_bridge.pipeline.odds import (
     AttemptEnd,
     AttemptOdds,
@@ -254,30 +253,6 @@ def test_new_plans_raise_the_chance() -> None:
     bindings, faults = Bindings({"drive": Binding(retries=0)}), Faults((Fault("drive", FaultKind.ABORT, chance=0.4),))
     alone, many = (rolled(WORLDS[0], bindings, faults, replans=replans) for replans in (0, 10))
     assert alone.interval[1] < many.interval[0]
-
-
-CART = """
-(define (domain cart)
-  (:requirements :strips :numeric-fluents)
-  (:predicates (at ?a) (next ?a ?b))
-  (:functions (charge))
-  (:action go :parameters (?a ?b) :precondition (and (at ?a) (next ?a ?b) (>= (charge) 10))
-    :effect (and (not (at ?a)) (at ?b) (decrease (charge) 10)))
-  (:action plug_in :parameters () :precondition (at a) :effect (assign (charge) 100)))
-"""
-
-
-def test_attempts_that_fail_use_up_as_much_as_those_that_succeed() -> None:
-    ways = " ".join(f"(next {way})" for way in ("a b", "b c", "c d", "d e"))
-    text = f"(define (problem p) (:domain cart) (:objects a b c d e) (:init (at a) {ways} (= (charge) 100)) (:goal (at e)))"
-    problem, known = parse_problem(text, parse_domain(CART)), {End.SUCCEEDED: 200, End.ABORTED: 200}
-    rates = Rates({Call("go", "go"): Counts(known, Times({35: 200}, 400_000), Times({35: 200}, 400_000))})
-    chosen = Settings(improve=0.0, bindings=Bindings({"go": Binding(retries=8)}))
-    odds = odds_of_goal(problem, plan_of(problem), replace(chosen, learned=rates), NO_FAULTS, seconds=600.0, most=60).rolled
-    assert odds is not None
-    left = odds.numbers["charge",]
-    assert len({*left}) > 5
-    assert abs(sum(left) / len(left) - 60.0) < 8.0, "on average, calls use what their action says"
 
 
 def test_what_is_known_exactly_is_not_estimated_again() -> None:
