@@ -86,12 +86,6 @@ class OutcomePlanner:
             before, at = at, action.outcomes[number].after(at)
             self.luck *= action.outcomes[number].chance / (sum(way.chance for way in action.outcomes if way.after(before) != before) or 1.0)
 
-    def _rest(self, state: int, forbidden: Mapping[PolicyAction, Sequence[PartialState]]) -> list[Step]:
-        """Return the rest of the known plan from a state on; nothing if it is not on its way, or the rest is forbidden."""
-        place = next((place for place, (at, _) in enumerate(self._known) if at == state), len(self._known))
-        rest = self._known[place:]
-        return [] if any(part.holds(at) for at, (action, _) in rest for part in forbidden.get(action, ())) else [step for _, step in rest]
-
     def plan(
         self, state: int, forbidden: Mapping[PolicyAction, Sequence[PartialState]], until: float, ways: Sequence[tuple[str, float]] = WAYS
     ) -> list[Step] | None:
@@ -100,8 +94,9 @@ class OutcomePlanner:
         Raises:
             OutOfTime: none were found in time, or by this time on the clock of `time.monotonic`.
         """
-        if rest := self._rest(state, forbidden):
-            return rest
+        rest = self._known[next((place for place, (at, _) in enumerate(self._known) if at == state), len(self._known)) :]
+        if rest and not any(part.holds(at) for at, (action, _) in rest for part in forbidden.get(action, ())):
+            return [step for _, step in rest]
         domain = self._domain_for({action: tuple(parts) for action, parts in forbidden.items() if parts})
         numbers = (f"(= {fluent_text(scale.fluent)} {Constant(scale.value(state))})" for scale in self._task.scales)
         facts = " ".join((*map(fluent_text, self._task.named(state)), *numbers))
