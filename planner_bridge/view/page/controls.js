@@ -218,7 +218,7 @@ async function look() {
   }
   isLooking = false;
   if (goal.value !== text) waiting = setTimeout(check, 150);
-  else if (reply.refused) shown("", "", "");
+  else if (reply.refused) shown("a plan was not looked for", "", reply.refused);
   else if (reply.calls === null) shown("no plan as things are", "bad", reply.reason);
   else shown([reply.calls ? counted(reply.calls, "call") : "is so already", reply.calls && reply.seconds !== null ? span(reply.seconds) : "", reply.chance ?? ""].filter(Boolean).join(" · "), "ok",
     `a plan from what is so when all that runs now has ended${reply.chance ? `; ${reply.chance} likely without a new plan, ${reply.rests_on}` : ""}`);

@@ -138,8 +138,13 @@ function selected(model, id, run) {
   if (ui.sel && (ui.sel.kind !== "call" || model.calls.has(ui.sel.key))) return ui.sel;
   const task = model.tasks.get(id);
   if (task && (task.state === "over" || !run)) return { kind: "task", key: id };
-  const ranked = callsOf(model, run).map(([key, call]) => [key, WORTH.indexOf(call.state)]).filter(([, rank]) => rank >= 0).sort(([, a], [, b]) => a - b);
-  return ranked.length ? { kind: "call", key: ranked[0][0] } : task ? { kind: "task", key: id } : null;
+  let [best, rank] = ["", WORTH.length];
+  for (const [key, call] of callsOf(model, run)) {
+    const own = WORTH.indexOf(call.state);
+    if (own >= 0 && own < rank) [best, rank] = [key, own];
+    if (!rank) break;
+  }
+  return best ? { kind: "call", key: best } : task ? { kind: "task", key: id } : null;
 }
 
 function choose(what) {

@@ -90,12 +90,12 @@ export function showPlan(model, run, number, calls, chosen, choose, redraw) {
     fetched(model, run, redraw);
     return;
   }
-  const states = new Map(calls.map(([, call]) => [call.index, call]));
+  const stateOf = (step) => model.calls.get(`${run}/${step}`);
   if (!told.cells.size) {
     place.replaceChildren(el("p", { class: "dim" }, "nothing is to be done: the plan has no calls"));
     return;
   }
-  keepInSight(states);
+  keepInSight(calls);
   const added = new Set((isOther(model.runs.get(run)) && model.runs.get(run).replan.added) || []);
   const dropped = droppedOf(model, run);
   const looks = [run, ...dropped.map(([key]) => key)].join(" ");
@@ -106,8 +106,8 @@ export function showPlan(model, run, number, calls, chosen, choose, redraw) {
     draw(run, choose, added, dropped);
   }
   const gone = new Map(dropped);
-  for (const [step, { box, cell }] of boxes) showState(box, cell, gone.get(step) ?? states.get(step), [`${run}/${step}`, step].includes(chosen));
-  for (const link of place.querySelectorAll("[data-from]")) link.classList.toggle("on", states.get(Number(link.dataset.from))?.state === "running");
+  for (const [step, { box, cell }] of boxes) showState(box, cell, gone.get(step) ?? stateOf(step), [`${run}/${step}`, step].includes(chosen));
+  for (const link of place.querySelectorAll("[data-from]")) link.classList.toggle("on", stateOf(link.dataset.from)?.state === "running");
 }
 
 // The calls that a new plan has dropped, of the plan before it, until something of the new one is done.
@@ -123,8 +123,8 @@ function droppedOf(model, id) {
 }
 
 // Follows what runs, unless somebody looks elsewhere.
-function keepInSight(states) {
-  const now = [...states.values()].filter((call) => call.state === "running" || call.state === "failed").map((call) => call.index).sort().join(" ");
+function keepInSight(calls) {
+  const now = calls.filter(([, call]) => call.state === "running" || call.state === "failed").map(([, call]) => call.index).sort().join(" ");
   if (told.follows === now || !view.width || place.matches(":hover, :focus-within")) return;
   told.follows = now;
   const xs = now ? now.split(" ").map((step) => told.cells.get(Number(step))?.x ?? 0) : [];

@@ -148,8 +148,12 @@ function barsOf(model, runs, end, chosen) {
 
 // Planned bars, unless nobody planned times; of a plan that another one follows, only what was planned until then. What a plan has
 // taken over from the one before stands there alone: it is not planned anew.
+let schedule = { looks: "", bars: [] }; // those of before, which mostly stay as they are
+
 function plannedOf(model, runs) {
   const own = runs.filter((run) => model.runs.get(run).is_own);
+  const looks = JSON.stringify(runs.map((run) => [run, model.runs.get(run).origin, model.runs.get(run).time, callsOf(model, run).length]));
+  if (schedule.looks === looks) return schedule.bars;
   const bars = [];
   for (const run of runs) {
     const { origin, time } = model.runs.get(run);
@@ -165,7 +169,8 @@ function plannedOf(model, runs) {
       if (from < to) bars.push({ key, lane: call.lane, from, to, isCut: from + call.duration > until && call.state !== "handed_over", action: call.action, name: actionOf(call.action).name });
     }
   }
-  return bars.sort((a, b) => a.from - b.from);
+  schedule = { looks, bars: bars.sort((a, b) => a.from - b.from) };
+  return schedule.bars;
 }
 
 // Bars of a lane that overlap stand below each other.
@@ -261,7 +266,9 @@ function drawBars(model, bars, choose) {
     const ends = drawn.x(Math.max(bar.to, bar.rest ?? 0));
     if (ends < drawn.left - 1 || drawn.x(bar.from) >= width) continue;
     const a = Math.max(drawn.x(bar.from), drawn.left);
-    const b = Math.max(a + 1, Math.min(drawn.x(bar.to), width) - (bar.state === "running" ? 0 : 1.5));
+    const isRunning = bar.state === "running";
+    const end = Math.min(drawn.x(bar.to), width);
+    const b = Math.max(a + 1, isRunning ? Math.round(end) : end - 1.5); // one that runs grows by whole pixels
     const top = drawn.tops.get(bar.lane).actual + bar.row * ROW;
     const colour = look(bar.state)[1];
     if (b - a < NARROW && bar.rest === null && !bar.isChosen) {
@@ -269,14 +276,17 @@ function drawBars(model, bars, choose) {
       continue;
     }
     seen.add(bar.id);
-    const looks = `${a} ${b} ${top} ${bar.state} ${bar.isChosen} ${bar.words} ${bar.rest}`;
     const old = drawn.bars.get(bar.id);
-    if (old?.looks === looks) continue;
+    const looks = `${a} ${isRunning && b - a > 14 ? bar.rest === null : b} ${top} ${bar.state} ${bar.isChosen} ${isRunning || bar.words} ${bar.rest}`;
+    if (old?.looks === looks) {
+      if (isRunning && old.b !== b) grown(old, bar, a, b);
+      continue;
+    }
     const group = barOf(model, bar, a, Math.max(2, b - a), top, colour);
     group.addEventListener("click", () => choose(bar.call));
     if (old) old.group.replaceWith(group);
     else drawn.group.append(group);
-    drawn.bars.set(bar.id, { looks, group });
+    drawn.bars.set(bar.id, { looks, group, b });
   }
   for (const [id, old] of drawn.bars) {
     if (seen.has(id)) continue;
@@ -291,6 +301,21 @@ function drawBars(model, bars, choose) {
     const d = paths.get(colour) ?? "";
     if (drawn.narrow.get(colour).getAttribute("d") !== d) drawn.narrow.get(colour).setAttribute("d", d);
   }
+}
+
+// Has the bar of a call that runs end where it is by now: its parts stay.
+function grown(old, bar, a, b) {
+  old.b = b;
+  const of = (name) => old.group.querySelector(name);
+  of(".ac").setAttribute("width", Math.max(1, b - a - 1));
+  of("svg").setAttribute("x", a + (b - a) / 2 - 6);
+  const [rest, text] = [of(".rest"), of(".t-run")];
+  if (!rest) return;
+  const room = Math.min(drawn.x(bar.rest), width) - b;
+  rest.setAttribute("x", b - 2);
+  rest.setAttribute("width", Math.max(2, room));
+  text?.setAttribute("x", b + 7);
+  if (text && widthOf(bar.name, true) > room - 10) text.remove();
 }
 
 function barOf(model, bar, x, wide, top, colour) {
