@@ -79,6 +79,8 @@ WATCHING: Final = 512
 """Browsers that may watch at the same time: each of them is sent everything."""
 _SHARED: Final = 32
 """Frames and answers that are kept for other browsers, which mostly ask for the same."""
+COLOURS: Final = "\n".join((":root{", *(f"--{name}:light-dark({light},{dark});" for name, (light, dark) in TOKENS.items()), "}"))
+"""The stylesheet of the colours, which the page shares with pictures."""
 _DIGITS: Final = 40
 
 T = TypeVar("T")
@@ -137,18 +139,13 @@ class ViewApp:
             Route("/metrics", self._numbers),
             Route("/control", control.look),
             Route("/control", partial(control.do, world=self._projected, known=known), methods=["POST"]),
-            Route("/page/tokens.css", self._tokens),
+            Route("/page/tokens.css", lambda _: Response(COLOURS, media_type="text/css")),
             Mount("/page", StaticFiles(directory=PAGE)),
         ]
         self.asgi: Final = _Guarded(Starlette(routes=routes))
 
     async def _page(self, request: Request) -> Response:
         return FileResponse(PAGE / "index.html")
-
-    async def _tokens(self, request: Request) -> Response:
-        """Answer with the colours, which the page shares with pictures."""
-        colours = "".join(f"--{name}:light-dark({light},{dark});" for name, (light, dark) in TOKENS.items())
-        return Response(f":root{{{colours}}}", media_type="text/css")
 
     async def _why(self, request: Request) -> Response:
         """Answer with why a call is in its plan, and why it began when it did or what it waits for, as it was after a record.

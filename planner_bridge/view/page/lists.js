@@ -2,7 +2,7 @@
 
 import { hasNode, startForms, tellForm } from "./controls.js";
 import { eventsOf, titleOf } from "./model.js";
-import { KNOWN, clock, el, figure, icon, inWords, keyed, look, mark, pill, span, svg, tod, widthOf, words } from "./words.js";
+import { KNOWN, clock, counted, el, figure, icon, inWords, keyed, look, mark, pill, span, svg, tod, widthOf, words } from "./words.js";
 
 const $ = (id) => document.getElementById(id);
 const SHOWN = 120;
@@ -182,6 +182,6 @@ export function hourOf(model, ui, choose) {
     line.addEventListener("click", () => model.tasks.has(task.id) && choose({ kind: "task", key: task.id }));
     return line;
   });
-  return [el("section", {}, el("div", { class: "row" }, el("h2", { class: "ti" }, title), el("span", { class: "sp" }), el("small", { class: "dim" }, `${those.length} tasks`)),
+  return [el("section", {}, el("div", { class: "row" }, el("h2", { class: "ti" }, title), el("span", { class: "sp" }), el("small", { class: "dim" }, counted(those.length, "task"))),
     el("div", { class: "row commands" }, pill("ok", "ok", `${those.filter((task) => task.code === "goal_reached").length} done`), bad.length ? pill("bad", "bad", `${bad.length} given up`) : "")), el("section", {}, ...lines)];
 }

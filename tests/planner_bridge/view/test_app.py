@@ -29,7 +29,7 @@ def url(delivery: Path) -> Iterator[str]:
 
 
 def test_the_page_and_its_files_come_with_what_keeps_them_among_themselves(url: str) -> None:
-    files = ["/", *(f"/page/{file.name}" for file in PAGE.iterdir())]
+    files = ["/", "/page/tokens.css", *(f"/page/{file.name}" for file in PAGE.iterdir())]
     assert len(files) > 5
     for file in files:
         status, headers, text = asked(url, file)
