@@ -34,7 +34,7 @@ from planner_bridge.pipeline.roll_outs import VettedPlan
 from planner_bridge.planning.kairos import LONGEST
 from planner_bridge.tasks.settings import Memory, Settings
 from pnm.actions.faults import NO_FAULTS
-from tests.benchmarks.bench_odds import Forecast, summary
+from tests.support.benchmarks.forecasts import Forecast, summary
 from tests.support.e2e.household.in_process import SimulatorBackend, in_world, pursue
 from tests.support.e2e.household.mishaps import with_mishaps
 from tests.support.e2e.household.simulator import Work, counted, drive_times, has_reached, load_world, without_waiting
