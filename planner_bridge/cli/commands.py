@@ -231,6 +231,8 @@ def net(
         print(f"note     {LOST}", file=sys.stderr)
     if certificate:
         options.check_output(certificate, force=force)
+        if output is not None and output.resolve() == certificate.resolve():
+            raise InputError(f"{certificate}: cannot be the net and its certificate; expected two files")
     chosen = options.chosen_files(domain, problem, plan_file)
     if isinstance(chosen, Path):
         from pnm.actions.bindings_file import read_bindings

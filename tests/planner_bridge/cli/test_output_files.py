@@ -27,6 +27,13 @@ def test_a_file_that_exists_is_not_replaced(domain: Path, command: str) -> None:
     assert domain.read_bytes() == before
 
 
+def test_a_net_and_its_certificate_are_two_files(domain: Path) -> None:
+    files = "-o", str(domain.parent / "net"), "--certificate", str(domain.parent / "." / "net")
+    done = pnm("net", str(domain), str(domain.parent / "problem.pddl"), *files, "--force")
+    assert (done.returncode, "expected two files" in done.stderr) == (2, True), done.stderr
+    assert not (domain.parent / "net").exists()
+
+
 def test_the_output_may_be_a_device_that_is_redirected(domain: Path) -> None:
     with (domain.parent / "out").open("w") as out:
         command = [sys.executable, "-m", "planner_bridge", "export", str(domain), "-o", "/dev/stdout"]
