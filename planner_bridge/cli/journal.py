@@ -25,7 +25,7 @@ from planner_bridge.cli.options import command
 from planner_bridge.explanations.history import JournalHistory
 from planner_bridge.node.node_journal import latest_journal
 from planner_bridge.tasks.result import TASKS
-from planner_bridge.view.story import timelines_as
+from planner_bridge.view.story import Followed, timelines_as
 from pnm.core.knowledge_base import statement_text
 from pnm.errors import InputError, counted, printable
 from pnm.files.database.place import Place, place_of
@@ -99,7 +99,12 @@ def replay(journal: str | None, last: int | None, as_json: bool, timeline: Path 
 @click.command(epilog="Examples: pnm history tasks.journal; pnm history -v")
 @journal_argument
 @click.option("--json", "as_json", is_flag=True, help="print only one JSON object per task")
-@click.option("-v", "--verbose", is_flag=True, help="also count plans, replans, requests and failures, and say what set off each replan")
+@click.option(
+    "-v",
+    "--verbose",
+    is_flag=True,
+    help="also count plans, replans, requests and failures, say what set off each replan, and where a policy is",
+)
 @click.option(
     "--format",
     "written_as",
@@ -127,20 +132,22 @@ def history(journal: str | None, as_json: bool, verbose: bool, written_as: str, 
         return 0
     with errors_of_journals():
         tasks = summaries(place := chosen_journal(journal), TASKS)
-        told = JournalHistory.read(place).tasks if verbose else {}
+        told = JournalHistory.read(place) if verbose else None
     console = SafeConsole()
     for task in tasks:
-        more = told.get(task.accepted.wanted.id)
+        more = told.tasks.get(task.accepted.wanted.id) if told else None
+        followed = Followed.by(told, more.own_runs[-1]) if told and more and more.own_runs else None
         replans = [(run.time - more.time, run.replan.why) for run in more.own_runs if run.replan] if more else []
         if as_json:
             counts = (
                 {"counts": more.counts.as_json(), "replanned": [{"time": round(at, 4), "why": why} for at, why in replans]} if more else {}
             )
-            print(json.dumps(task.as_json() | counts), flush=True)
+            policy = {"policy": str(followed)} if followed else {}
+            print(json.dumps(task.as_json() | counts | policy), flush=True)
         else:
             _print_task(task, console)
             lines = [str(more.counts), *(f"{at:6.2f} s  replan  {why}" for at, why in replans)] if more else []
-            for line in lines:
+            for line in [*lines, *([f"policy  {followed}"] if followed else [])]:
                 console.print(Text(f"{'':21}{line}"))
     if not (tasks or as_json):
         console.print("no tasks")

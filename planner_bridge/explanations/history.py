@@ -14,9 +14,10 @@ from collections.abc import Callable, Iterable, Mapping
 from contextlib import closing, suppress
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Final, NamedTuple, assert_never
+from typing import TYPE_CHECKING, Final, NamedTuple, assert_never
 from uuid import UUID
 
+from planner_bridge.model.grounding import problem_now
 from planner_bridge.model.progression import snapshot
 from planner_bridge.tasks.replanning import Decision, Foreseen, decision_words
 from planner_bridge.tasks.result import TASKS, GoalNote, PolicyNote, TaskCounts
@@ -36,6 +37,9 @@ from pnm.journal.resume import damage, steps_after
 from pnm.journal.store import KeptJournal
 from pnm.knowledge.people import HelpAsked, HelpEnded
 from pnm.tasks import TaskEnding, TaskState
+
+if TYPE_CHECKING:
+    from planner_bridge.planning.policies.policy import Policy
 
 _FREES: Final = (records.Happened, records.EndConfirmed, records.RunRetired, records.RunSucceeded, records.ClaimsBegan)
 """Records with which resources are given, or given back."""
@@ -173,6 +177,12 @@ class RunHistory:
     def is_over(self) -> bool:
         """Whether nothing more comes of it."""
         return self.results is not None or self.executed().run.over
+
+    @cached_property
+    def followed(self) -> Policy | None:
+        """The policy that it is the beginning of, for the state in which it began; None if none is known."""
+        note = self.policy
+        return note.policy(problem_now(note.problem, self.state)) if note and note.problem else None
 
     @property
     def is_own(self) -> bool:

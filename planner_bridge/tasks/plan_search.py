@@ -143,7 +143,8 @@ class PlanSearch:
         self.origin = 0.0
         """The time from which the times of the plan count."""
         notes = notes_of(kept, PolicyNote) if kept else []
-        self._control.policy = self._noted = notes[-1].policy(context.problem) if notes else None
+        self._noted: Policy | None = notes[-1].policy(context.problem) if notes else None
+        self._control.policy = self._noted
         self._has_found = False
         self._ahead: _SearchAhead | None = None
         self._is_best = False

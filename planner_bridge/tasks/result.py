@@ -9,7 +9,7 @@ from dataclasses import dataclass, field, replace
 from functools import cache, partial
 from itertools import zip_longest
 from math import isfinite
-from typing import Any, ClassVar, Final, Literal, TypeAlias, TypeVar
+from typing import TYPE_CHECKING, Any, ClassVar, Final, Literal, TypeAlias, TypeVar
 
 from planner_bridge.model import problem
 from planner_bridge.model.guards import ForbiddenCall
@@ -29,6 +29,9 @@ from pnm.journal.codec import RECORDS, value_classes
 from pnm.journal.replay import ReplayedRun, ReplayedTask
 from pnm.knowledge.people import HelpAsked, HelpEnded
 from pnm.tasks import Code, TaskEnding
+
+if TYPE_CHECKING:
+    from planner_bridge.planning.policies import policy as policies
 
 N = TypeVar("N")
 
@@ -377,7 +380,7 @@ class PolicyNote:
         entries = (PolicyEntry(*entry) for entry in self.entries)
         return next((one.outcomes for one in entries if (one.action, one.arguments) == (action.name, action.arguments)), {})
 
-    def policy(self, problem: Problem) -> Policy | None:
+    def policy(self, problem: Problem) -> policies.Policy | None:
         """Return the policy for a problem."""
         from planner_bridge.planning.policies import policy  # here, because most actions have one outcome
 

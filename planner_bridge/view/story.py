@@ -469,16 +469,18 @@ class Followed(NamedTuple):
     runs: tuple[PolicyRun, ...]
 
     @staticmethod
-    def by(story: Story, run: RunHistory) -> Followed | None:
+    def by(history: JournalHistory, run: RunHistory) -> Followed | None:
         """Return the policy that a run follows, as far as its task has come with it; None if none is known."""
-        task, note = story.tasks.get(run.made.task), run.policy
+        task, note = history.tasks.get(run.made.task), run.policy
         runs = [one for one in task.own_runs if one.policy is note and one.record] if task else []
-        if not (note and note.problem and runs):
+        if not runs or (policy := runs[0].followed) is None:
             return None
-        problem, first = note.problem, runs[0]
-        known = story.once(f"policy of {first.id.hex}", note, lambda: {"policy": note.policy(problem_now(problem, first.state))})
-        began = tuple((one.state, (*one.last_results.values(),), one.is_over) for one in runs)
-        return Followed(known["policy"], began) if known["policy"] else None
+        return Followed(policy, tuple((one.state, (*one.last_results.values(),), one.is_over) for one in runs))
+
+    def __str__(self) -> str:
+        from planner_bridge.planning.policies.net import followed, followed_words  # here, because most actions have one outcome
+
+        return followed_words(self.policy, *followed(self.policy, self.runs))
 
     def picture(self) -> str:
         """Return the picture of the policy, in which that is lit."""

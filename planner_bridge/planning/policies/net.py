@@ -306,13 +306,22 @@ def followed(policy: Policy, runs: Iterable[PolicyRun]) -> tuple[list[TakenBranc
     return taken, now
 
 
-def followed_svg(policy: Policy, runs: Iterable[PolicyRun]) -> str:
-    """Return the picture of a policy, without looks, with what runs have taken of it; its title says the rest."""
-    (taken, now), steps = followed(policy, runs), policy.steps()
-    names = {step.number: f"#{step.number} {step.action}" for step in steps}
+def followed_words(policy: Policy, taken: Sequence[TakenBranch], now: int | None) -> str:
+    """Return what is under way of a policy, what was last and how it came out, and what is to be expected from there."""
+    steps = {step.number: step for step in policy.steps()}
+    names = {number: f"#{number} {step.action}" for number, step in steps.items()}
     told = [f"under way: {names[now]}"] if now else []
     told += [f"last: {names[one.step]}{f', which came out as {one.outcome}' if one.outcome else ''}" for one in taken[-1:]]
-    return steps_svg(steps, "; ".join(told) or "nothing of it has begun", taken, now, style="")
+    at = now or (taken[-1].then if taken else next(iter(steps), None))
+    if at is not None and (step := steps.get(at)):
+        told.append(f"then {policy.entries[step.entry].chance:.1%} to the goal, {step.expected:.1f} {policy.measure} expected")
+    return "; ".join(told if taken or now else ["nothing of it has begun", *told])
+
+
+def followed_svg(policy: Policy, runs: Iterable[PolicyRun]) -> str:
+    """Return the picture of a policy, without looks, with what runs have taken of it; its title says the rest."""
+    taken, now = followed(policy, runs)
+    return steps_svg(policy.steps(), followed_words(policy, taken, now), taken, now, style="")
 
 
 def steps_dot(steps: Sequence[Step]) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 from collections.abc import Callable
 from dataclasses import replace
@@ -28,6 +29,7 @@ from planner_bridge.view.story import Followed, Story
 from pnm.actions.faults import Fault, Faults
 from pnm.core.machine.plan_graph import GroundAction
 from pnm.journal.resume import replayed
+from tests.support.e2e.command_line import pnm
 from tests.support.e2e.page.browser import browser
 from tests.support.e2e.page.journals import steps
 from tests.support.e2e.page.serving import asked, page_of
@@ -117,8 +119,25 @@ def test_the_page_lights_the_branch_that_was_taken(journal: Path, seen: Seen) ->
         page.locator("#way").fill(f"{moment + 1e-6:.6f}")
         expect(policy.locator("text.taken")).to_have_text(["2 33% ✓", "3 33% ✓"])
         expect(policy.locator("g.now .name")).to_have_text(re.compile("lift"))
-        expect(page.locator("#policy-said")).to_contain_text("under way: #3 lift(); last: #2 pick(), which came out as 2")
+        said_there = "under way: #3 lift(); last: #2 pick(), which came out as 2; then 100.0% to the goal, 5.0 calls expected"
+        expect(page.locator("#policy-said")).to_contain_text(said_there)
         assert not said
+
+
+def test_the_history_says_of_a_policy_what_the_page_says(journal: Path) -> None:
+    told = "last: #2 pick(), which came out as 1"
+    assert f"policy  {told}" in pnm("history", "-v", str(journal)).stdout
+    (listed,) = map(json.loads, pnm("history", "--json", "-v", str(journal)).stdout.splitlines())
+    assert listed["policy"] == told
+
+
+def test_what_is_under_way_is_told_with_what_is_to_be_expected_from_there(journal: Path) -> None:
+    reader, words = Reader(journal), set[str]()
+    for step in steps(journal):
+        found = reader.at(step.number, lambda story: Followed.by(story, [*story.runs.values()][-1]) if story.runs else None)
+        words |= {str(found)} if found else set()
+    assert "under way: #2 pick(); last: #2 pick(), which came out as 3; then 100.0% to the goal, 4.0 calls expected" in words
+    assert not any("then" in one for one in words if one.endswith("came out as 1")), "the goal holds"
 
 
 class Found(Thinking):
