@@ -230,8 +230,13 @@ class RememberedPlans(Memory):
 
         Where only what is used up differs, the plan is that of the problem which differs least, of those that are valid.
         """
+
+        def distance(other: Problem) -> float:
+            levels = [(value, other.init.get(fluent)) for fluent, value in problem.init.items() if fluent[0] in self._spent]
+            return sum(abs(one - two) if is_number(one) and is_number(two) else float(one != two) for one, two in levels)
+
         alike = self._plans.setdefault(self._key(problem), [])
-        for far, other, known in sorted(((self._far(problem, other), other, known) for other, known in alike), key=itemgetter(0)):
+        for far, other, known in sorted(((distance(other), other, known) for other, known in alike), key=itemgetter(0)):
             if replace(other, init=problem.init) != problem or other.unknown != problem.unknown:
                 continue
             if not far or (known.plan and not known.policy and not why_invalid(problem, known.plan)):
@@ -244,10 +249,6 @@ class RememberedPlans(Memory):
 
     def _key(self, problem: Problem) -> frozenset[object]:
         return frozenset(item for item in problem.init.items() if item[0][0] not in self._spent)
-
-    def _far(self, problem: Problem, other: Problem) -> float:
-        levels = [(value, other.init.get(fluent)) for fluent, value in problem.init.items() if fluent[0] in self._spent]
-        return sum(abs(one - two) if is_number(one) and is_number(two) else float(one != two) for one, two in levels)
 
     def machine(self, graph: PlanGraph, prove: Callable[[], ProvedMachine]) -> ProvedMachine:
         """Return the machine of a plan that was proved before, or is now."""

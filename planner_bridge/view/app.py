@@ -263,23 +263,18 @@ class ViewApp:
             except PnmError:
                 seen = None  # which is told as a problem, with the whole state
 
+        def sent(before: View | None, after: View) -> bytes:
+            return f"id: {after.number}\nretry: 1000\ndata: {shown_json(self._frame(before, after))}\n\n".encode()
+
         async def stream() -> AsyncIterator[bytes]:
             nonlocal seen
-            async for view in self._feed.views():
-                yield self._sent(seen, view)
+            async for view in self._feed.views():  # a frame is made once for all who have seen the same
+                yield self._frames.once((id(seen), id(view)), partial(sent, seen, view), kept=(seen, view))
                 seen = view
 
         if self._feed.watching >= WATCHING:
             return _refused(f"{WATCHING} browsers watch already; close one of them", 503)
         return StreamingResponse(stream(), media_type="text/event-stream")
-
-    def _sent(self, before: View | None, after: View) -> bytes:
-        """Return a frame as it is sent; it is made once for all who have seen the same."""
-
-        def made() -> bytes:
-            return f"id: {after.number}\nretry: 1000\ndata: {shown_json(self._frame(before, after))}\n\n".encode()
-
-        return self._frames.once((id(before), id(after)), made, kept=(before, after))
 
     def _frame(self, before: View | None, after: View) -> dict[str, Any]:
         own = {"journal": self._key, "name": self._name, "host": socket.gethostname(), "watching": self._feed.watching}

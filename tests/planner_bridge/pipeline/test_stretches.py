@@ -171,7 +171,7 @@ def test_all_who_tell_of_a_run_tell_the_outcome(tmp_path: Path) -> None:
     assert [call["outcome"] for call in json.loads(done.stdout.splitlines()[-1])["calls"]] == ["succeeded", "2", "succeeded", "1"]
     (timeline,) = timelines(journal)
     assert [call.declared for plan in timeline.plans for call in plan.calls] == ["", "2", "", "1"]
-    assert '>2</text>' in timeline_svg(timeline)
+    assert ">2</text>" in timeline_svg(timeline)
     reader = Reader(tmp_path / "journal")
     view = reader.at(reader.newest().number, view_of)
     assert view is not None
