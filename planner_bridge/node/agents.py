@@ -535,6 +535,7 @@ def server_of(agents: Agents, *, token: str = "", url: str = "") -> Any:
     guard: dict[str, Any] = {}
     if token:
         guard = {"token_verifier": Token(), "auth": AuthSettings(issuer_url=AnyHttpUrl(url), resource_server_url=None)}
+    logging.getLogger("mcp").setLevel(logging.CRITICAL)  # what it refuses it says to whoever has asked
     server = MCPServer("pnm", instructions=PROMPT, log_level="CRITICAL", **guard)
     planning = agents.see_world, agents.check_goal, agents.preview, agents.why
     reading = *planning, agents.status, agents.why_task, agents.history, agents.questions

@@ -70,6 +70,12 @@ def test_mistakes_are_answered_as_on_the_command_line(tool, given, says):
     assert says in told(tool, **given)
 
 
+def test_what_is_refused_leaves_no_traceback(caplog):
+    with pytest.raises(Exception, match=r"TaskGroup|prompt"):  # as the SDK has it
+        with_client(lambda client: client.get_prompt("nope"))
+    assert not caplog.records
+
+
 def test_a_goal_is_read_back_and_explained():
     assert told("check_goal", goal="(AT r1\n store) ; the person has said yes") == {"goal": "(at r1 store)", "holds_now": True}
     assert "#0 move(r1, store, hall): for #1" in told("why", goal="(at r1 kitchen)")["why"]
