@@ -57,7 +57,6 @@ const ownRuns = (model, task) => task.runs.filter((run) => model.runs.get(run)?.
 
 // Whether a run has another plan than the one before it, and does not only go on with its rest; and which plan of its task that is.
 export const isOther = (run) => Boolean(run?.replan && !run.is_foreseen && (run.replan.dropped.length || run.replan.added.length));
-export const numberOf = (model, runs, id) => 1 + runs.slice(1, runs.indexOf(id) + 1).filter((run) => isOther(model.runs.get(run))).length;
 
 export function titleOf(task) {
   if (!task) return "";

@@ -3,7 +3,7 @@
 import { showInspector, tick } from "./call.js";
 import { closeGoal, hasControls, hasNode, isHeld, openControls, openGoal, say, showControls, taskDoes } from "./controls.js";
 import { askDay, hourOf, showDay, showDock, showStarts, watchLists } from "./lists.js";
-import { PARTS, applied, callsOf, eventsOf, nothing, numberOf, requestsOf, taskOf, timeNow, titleOf, wayOf } from "./model.js";
+import { PARTS, applied, callsOf, eventsOf, nothing, requestsOf, taskOf, timeNow, titleOf, wayOf } from "./model.js";
 import { showPlan, showPolicy, watchPlan } from "./plan.js";
 import { ordered, questionsOf, showHead, showLeft, showNeeds } from "./tasks.js";
 import { showTimeline, watchTimeline, zoomBy } from "./timeline.js";
@@ -193,8 +193,7 @@ function drawn() {
   if (has("questions", "tasks")) showNeeds(model, isNow);
   if (has("requests", "calls", "runs", "tasks", "time") && !ui.day) showTimeline(model, ui.task, now, call, (key) => choose({ kind: "call", key }));
   if (has("runs", "tasks", "calls") && !ui.day) {
-    const own = model.tasks.get(ui.task)?.runs.filter((one) => model.runs.get(one)?.is_own) ?? [];
-    showPlan(model, run, numberOf(model, own, run), callsOf(model, run), call, (key, within) => choose(model.calls.has(key) ? { kind: "call", key, within } : { kind: "task", key: ui.task }), () => draw(["calls"]));
+    showPlan(model, run, callsOf(model, run), call, (key, within) => choose(model.calls.has(key) ? { kind: "call", key, within } : { kind: "task", key: ui.task }), () => draw(["calls"]));
     showPolicy(model, run, ui.task ? wayOf(model, ui.task, model.tasks.get(ui.task)) : []);
   }
   if (has("calls", "requests", "troubles", "runs", "tasks", "hands", "questions")) showChosen(model, what, isNow);

@@ -78,9 +78,9 @@ function positions(sections) {
   return { cells, links, titles, occupied, width: 2 * EDGE + columns * (CARD[0] + GAP) - GAP, height: Math.max(60, top - ROW + CARD[1] + 14) };
 }
 
-export function showPlan(model, run, number, calls, chosen, choose, redraw) {
+export function showPlan(model, run, calls, chosen, choose, redraw) {
   $("plan").hidden = !run;
-  $("plan-title").textContent = number > 1 ? `Plan ${number}` : "Plan";
+  $("plan-title").textContent = isOther(model.runs.get(run)) ? "New plan" : "Plan";
   const why = isOther(model.runs.get(run)) ? model.runs.get(run).replan.why.replace(/^a new plan is needed: /, "") : "";
   $("plan-why").textContent = why.split(";")[0];
   $("plan-why").title = why;

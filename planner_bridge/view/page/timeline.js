@@ -2,7 +2,7 @@
 //
 // What stays where it was is left alone. Bars that are too narrow to be seen one by one are one path: of a thousand, a frame changes a few.
 
-import { callsOf, isOther, numberOf, requestsOf, taskOf } from "./model.js";
+import { callsOf, isOther, requestsOf, taskOf } from "./model.js";
 import { actionOf, el, fitted, look, mark, span, stateOf, svg, tod, whole, widthOf } from "./words.js";
 
 const TOP = 26, ROW = 25, PAD = 6, BAR = 20, NARROW = 5;
@@ -246,7 +246,7 @@ function cutsOf(model, runs, x, left, height) {
     const run = model.runs.get(id);
     const at = x(run.time);
     if (!run.replan || at < left || at > width) return [];
-    const name = isOther(run) ? `plan ${numberOf(model, own, id)}` : "goes on";
+    const name = isOther(run) ? "new plan" : "goes on";
     const long = `${name}: ${why(run.replan.why)}`;
     const text = isOther(run) && at - taken > widthOf(name, true) + 70 ? fitted(long, at - taken - 30, true) : name;
     const box = widthOf(text, true) + 26;

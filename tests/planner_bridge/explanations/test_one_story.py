@@ -217,7 +217,7 @@ def test_a_plan_that_is_a_call_of_another_is_no_replan(tmp_path: Path) -> None:
     assert result.goal_reached
     (task,) = check_one_story(journal).tasks.values()
     assert len(task["runs"]) == 2
-    assert task["counts"] == str(result.counts) == "3 requests, 0 failures"
+    assert task["counts"] == str(result.counts) == "4 requests, 0 failures"
 
 
 def test_of_a_task_whose_records_are_dropped_nothing_is_claimed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -125,7 +125,7 @@ def test_a_dropped_call_stays_until_the_new_plan_gets_on_and_flags_show_what_rea
         gone.click()
         expect(page.locator("#detail .steps")).to_be_visible()
         expect(page.locator("#detail .sub")).to_contain_text("kitchen")
-        expect(page.locator("#plan-title")).to_have_text("Plan 2")
+        expect(page.locator("#plan-title")).to_have_text("New plan")
         page.close()
 
 

@@ -103,7 +103,7 @@ def test_the_moment_of_a_place_that_its_token_has_left_wakes_nobody() -> None:
 
 
 BROKEN: dict[str, tuple[type, str, Callable[..., object] | property]] = {
-    "what has changed is not looked at": (Agenda, "ask_about_knowledge", lambda *_: None),
+    "what has changed is not looked at": (Agenda, "ask_about_knowledge", lambda *_, of_all=False: None),
     "places are asked in another order": (Agenda, "ask_undecided", lambda agenda: agenda.places.extend(reversed(agenda.undecided))),
     "a pause starts calls": (Run, "_is_put_off", lambda run, site, firing, place: False),
     "nothing is ever cancelled": (RunState, "cancels", property(lambda state: False)),

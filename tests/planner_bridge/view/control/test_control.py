@@ -280,7 +280,7 @@ def test_what_a_plan_would_take_is_told_while_a_goal_is_typed(controlled: Contro
     status, told = controlled.send({"do": "look", "goal": "(at r1 yard)"})
     assert (status, told["calls"] > 0, told["seconds"] > 0.0, told["chance"]) == (200, True, True, None)
     told = controlled.send({"do": "look", "goal": "(at parcel1 yard)"})[1]
-    assert told == {"calls": None, "reason": "the goal cannot be reached"}
+    assert (told["calls"], told["reason"].endswith("the goal cannot be reached")) == (None, True)
     assert "too large" in controlled.send({"do": "look", "goal": "(large)"})[1]["refused"]
 
 
