@@ -8,6 +8,7 @@ standard output. So a profile names the transport, and ROS leaves it as it is.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from importlib.metadata import distributions
 from pathlib import Path
 from typing import Final
 
@@ -45,6 +46,8 @@ _INTERFACES: Final = "<interfaceWhiteList><address>127.0.0.1</address></interfac
 _PEERS: Final = "<initialPeersList><locator><udpv4><address>127.0.0.1</address></udpv4></locator></initialPeersList>"
 LEASE: Final = 20
 """Seconds after which Fast DDS takes a process that is not heard for gone, by default."""
+_PROFILES: Final = "FASTDDS_DEFAULT_PROFILES_FILE" if [*distributions(name="ros-fastdds")] else "FASTRTPS_DEFAULT_PROFILES_FILE"
+"""The variable that names a profile: Fast DDS 3, which ROS 2 Kilted has, warns of the old one."""
 _ANNOUNCEMENT: Final = "<leaseAnnouncement><sec>0</sec><nanosec>200000000</nanosec></leaseAnnouncement>"
 
 
@@ -70,5 +73,5 @@ def middleware(
     return {
         "ROS_DOMAIN_ID": str(domain),
         "ROS_AUTOMATIC_DISCOVERY_RANGE": "SUBNET" if has_network else "SYSTEM_DEFAULT",
-        "FASTRTPS_DEFAULT_PROFILES_FILE": str(written(folder / "dds.xml", profile)),
+        _PROFILES: str(written(folder / "dds.xml", profile)),
     }
