@@ -177,10 +177,12 @@ def as_may_be(chances: Sequence[float], total: float, random: Random, count: int
     if not total:
         return [[*chances]] * count
     drawn = [[random.gammavariate(total * chance, 1.0) if chance else 0.0 for chance in chances] for _ in range(count)]
-    shares = [[value / sum(values) for value in values] for values in drawn]
+    shares = [[value / sum(values) for value in values] if any(values) else [*chances] for values in drawn]
     if count == 1:
         return shares
-    scales = [chance * count / sum(column) if chance else 0.0 for chance, column in zip(chances, zip(*shares, strict=True), strict=True)]
+    sums = [sum(column) for column in zip(*shares, strict=True)]
+    # what is hardly drawn at all is too small for a mean: it is none
+    scales = [chance * count / drawn if drawn > chance else 0.0 for chance, drawn in zip(chances, sums, strict=True)]
     scaled = [[share * scale for share, scale in zip(values, scales, strict=True)] for values in shares]
     return [[share / sum(values) for share in values] for values in scaled]
 

@@ -9,7 +9,7 @@ from random import Random
 import pytest
 from hypothesis import given, strategies as st
 
-from planner_bridge.model.rates import ENOUGH, MOST_CALLS, NO_RATES, STEP, Basis, Call, Counts, End, Rates, read_rates
+from planner_bridge.model.rates import ENOUGH, MOST_CALLS, NO_RATES, STEP, Basis, Call, Counts, End, Rates, as_may_be, read_rates
 from pnm.core.logic.effects import Alternative
 from pnm.core.machine.bindings import Binding, Bindings
 from pnm.core.machine.plan_graph import GroundAction
@@ -190,3 +190,18 @@ def test_what_is_wrong_is_said_with_its_position(tmp_path: Path, text: str, wher
 def test_calls_are_named_as_they_are_sent() -> None:
     action = GroundAction("move", ("r1", "hall"), ("robot", "to"))
     assert Call.of(action, Bindings({"move": Binding(server="/{robot}/go")})) == Call("/r1/go", "move", ("r1", "hall"))
+
+
+@given(
+    st.lists(st.sampled_from([0.0, 1e-300, 1e-9, 1e-3, 0.3, 1.0]), min_size=1, max_size=4).filter(any),
+    st.sampled_from([0.0, 1e-3, 2.0, 50.0]),
+)
+def test_chances_that_may_be_are_chances_and_their_mean_is_as_it_is(weights: list[float], total: float) -> None:
+    chances = [weight / sum(weights) for weight in weights]
+    worlds = as_may_be(chances, total, Random(0), 200)
+    for world in worlds:
+        assert sum(world) == pytest.approx(1.0)
+        assert all(0.0 <= share <= 1.0 and (chance or not share) for share, chance in zip(world, chances, strict=True))
+    for chance, shares in zip(chances, zip(*worlds, strict=True), strict=True):
+        if chance * total > 1.0:
+            assert sum(shares) / len(worlds) == pytest.approx(chance, abs=0.01)
