@@ -440,7 +440,7 @@ class PolicySearch:
         stages = [(_AGAIN, 1.0, kairos.luck)] if self.is_hard else [(_CERTAIN, 1.0, kairos.luck)]
         if self.plan is not None and not self.is_hard:
             stages.insert(0, (_SOON, 2 * _SOON, _LIKELY))
-        best = 0.0, -inf
+        best = 1.0, inf
         for share, end, least in stages:
             search.until = began + timeout * share
             with suppress(Interrupted):
@@ -451,11 +451,10 @@ class PolicySearch:
                 chances.entries += search.entries
                 with suppress(Interrupted):
                     for _ in take_chances(chances, chances.until):
-                        policy = _policy(problem, chances)
-                        value = policy.chance, -policy.entries[0].expected
-                        if policy.chance >= least and value > best:
-                            best = value
-                            yield policy
+                        first = chances.settled(task.initial)
+                        if first is not None and 1.0 - first.risk >= least and (first.risk, first.expected) < best:
+                            best = first.risk, first.expected
+                            yield _policy(problem, chances)
         if not search.dead.is_certain:  # a plan that was not found in time may be found in more
             kairos.is_patient, known = True, search.entries
             self.certain = search = Search(task, kairos, until, cancel)
@@ -479,10 +478,11 @@ def _certain(problem: Problem, search: Search, until: float, at_work: Callable[[
     assert first is not None, "the initial state is settled"
     taken = first.distance if search.task.measure == OF_METRIC else first.expected
     search.until = until = min(until, time.monotonic() + at_work(taken))
-    is_exact = all(scale.is_exact for scale in search.task.scales)
+    is_exact, best = all(scale.is_exact for scale in search.task.scales), (True, inf)
     for _ in chain((None,), improve(search, until)):
-        policy = _policy(problem, search)
-        if policy.is_proved or is_exact:
+        policy, now = _policy(problem, search), search.settled(search.task.initial)
+        if now is not None and (policy.is_proved or is_exact) and (not policy.is_proved, now.expected) < best:
+            best = not policy.is_proved, now.expected  # who follows one that is as good as the last one learns nothing
             yield policy
     return True
 

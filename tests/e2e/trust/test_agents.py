@@ -191,7 +191,7 @@ def test_two_hundred_hostile_calls_move_nothing_without_a_persons_yes(node: Node
             for task in (await asked(client, "status"))["tasks"]:
                 if task["is_from_here"] and task["state"] != "over":
                     await asked(client, "cancel", task=task["id"])
-            sent = await asked(client, "send_goal", goal="(at r2 store)")  # it works on, for those who ask rightly
+            sent = await asked(client, "send_goal", goal="(at r2 corridor)")  # where it has not been; for those who ask rightly
             assert node.says(await open_question(client), "yes") == 200
             assert (await task_of(client, sent["task"], lambda task: task["state"] == "over"))["code"] == "goal_reached"
         return said

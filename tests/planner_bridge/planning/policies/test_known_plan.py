@@ -91,3 +91,8 @@ def test_a_plan_that_cannot_be_carried_out_is_none(monkeypatch: pytest.MonkeyPat
     assert planner.luck == 0.0
     steps = planner.plan(PolicySearch(sure).task.initial, {}, float("inf")) or []
     assert [action.name for action, _ in steps] == ["walk", "walk-in"], "Kairos is asked"
+
+
+def test_a_policy_that_is_as_good_as_the_last_one_is_not_told() -> None:
+    whole = problem("(:action try :parameters () :precondition (at-a) :effect (oneof (and (not (at-a)) (at-c)) (and)))")
+    assert len([*PolicySearch(whole).policies(60.0)]) == 1, "whoever follows it would begin anew"
